@@ -3,11 +3,12 @@
 import shlex
 import sys
 from pathlib import Path
+from typing import Annotated
 
 from datagen.builder.choices import AddChoices, BuildChoices, FilmChoices, ShardChoices, SizeChoices
 from datagen.data.paths import BUILD, BUILT_IN_SCENES, TRUTH, find_dataset, train_command
 from datagen.disk.errors import UsageError
-from datagen.scene.finding import ImportChoices
+from datagen.scene.finding import ImportChoices, list_families
 from datagen.terminal.command import fail, next_command, run, say, say_all, tell
 from datagen.terminal.parsing import CommandGroup, group
 from datagen.terminal.plugins import absent_commands, commands_of
@@ -38,7 +39,7 @@ def commands() -> CommandGroup:
 
 
 def build(
-    scene: str = "glass_table",
+    scene: Annotated[str, BUILT_IN_SCENES.keys] = "glass_table",
     /,
     *,
     choices: BuildChoices = BuildChoices(),  # noqa: B008
@@ -49,8 +50,8 @@ def build(
     """Render a scene and peel its layers; if interrupted, the same command resumes.
 
     Args:
-        scene: A name that `datagen scenes` lists, a folder with a scene.json, a file that `datagen import` reads, or
-            random: glassware generated from --seed. random-0007 is the random scene of seed 7.
+        scene: A name, a folder with a scene.json, a file that `datagen import` reads, or random: glassware generated
+            from --seed. random-0007 is the random scene of seed 7.
     """
     from datagen.builder.build_command import build_scenes
 
@@ -62,11 +63,7 @@ def build(
 
 
 def add(dataset: str | None = None, /, *, choices: AddChoices = AddChoices()) -> None:  # noqa: B008
-    """Add views to a dataset: edited scenes, scenes without glass, other angles, larger pictures, stereo pairs.
-
-    Args:
-        dataset: A dataset's folder, or its name under data/. Default: the only one there.
-    """
+    """Add views to a dataset: edited scenes, scenes without glass, other angles, larger pictures, stereo pairs."""
     from datagen.builder.build_command import add_variants
     from datagen.data.dataset import open_dataset
 
@@ -88,7 +85,6 @@ def peel(
     """Peel a geometry's layers for every view, without rendering the images again.
 
     Args:
-        dataset: A dataset's folder, or its name under data/. Default: the only one there.
         geometry: truth, or proxies made by `proxies make`, such as ellipsoid.
         num_layers: Layers stored per ray. Default: as many as before, or 8.
         workers: Parallel processes.
@@ -124,7 +120,6 @@ def film(
     """Path-trace a film of a dataset's scene; `model film` renders the same film with a trained run.
 
     Args:
-        dataset: A dataset's folder, or its name under data/. Default: the only one there.
         spp: Samples per pixel.
         labels: Keep the frames as views of a variant, film-PATH, with depth, masks and all other labels.
     """
@@ -150,7 +145,6 @@ def look(dataset: str | None = None, /, *, out: Path | None = None, overwrite: b
     Needs no training; reads every file, and lists what is missing or damaged. Open the page in any browser.
 
     Args:
-        dataset: A dataset's folder, or its name under data/. Default: the only one there.
         out: Page to write, a .html file. Default: NAME-look.html.
         overwrite: Replace a file that is not such a page.
     """
@@ -175,7 +169,6 @@ def verify(dataset: str | None = None, /, *, json: bool = False) -> None:
     """Check every byte of a dataset; report damage, and exit with status 1 if there is any.
 
     Args:
-        dataset: A dataset's folder, or its name under data/. Default: the only one there.
         json: Print the result as JSON: dataset, verified (number of files), problems, remarks.
     """
     from json import dumps
@@ -200,14 +193,10 @@ def verify(dataset: str | None = None, /, *, json: bool = False) -> None:
 
 def scenes() -> None:
     """List the built-in scenes, and how to generate random ones."""
-    from datagen.scene.finding import SOURCES
-
     for name, description in BUILT_IN_SCENES.items():
         print(f"{name:14} {description}")
-    for name in SOURCES.names():
-        if (source := SOURCES.find(name)).name_of is not None:
-            families = ", ".join(source.families())
-            print(f"{name:14} Glassware from --seed N, with --count M of them; --family {families}")
+    if families := list_families():
+        print(f"{'random':14} Glassware from --seed N, with --count M of them; --family {', '.join(families)}")
     next_command(BUILD)
 
 

@@ -49,11 +49,6 @@ def inside(markdown: str, page: str) -> str:
     return LINK.sub(link, markdown)
 
 
-def on_post_page(output: str, **_: object) -> str:
-    # Without the highlighter's style sheets, the theme's script for dark mode (mkdocs 1.6) fails.
-    return output.replace("</head>", '<link id="hljs-light"><link id="hljs-dark"></head>')
-
-
 def on_post_build(config: Any) -> None:
     search = Path(config.site_dir) / "search"
     index = (search / "search_index.json").read_text()

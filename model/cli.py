@@ -3,6 +3,7 @@
 import os
 import shlex
 import sys
+from functools import partial
 from pathlib import Path
 
 from datagen.builder.choices import FilmChoices
@@ -43,10 +44,8 @@ def commands() -> CommandGroup:
 
 
 def _methods() -> dict[str, Later]:
-    def train(name: str) -> Later:
-        return Later(lambda words: make_command(name, words, _train_method), lambda: about(name))
-
-    return {name: train(name) for name in METHODS.names()}
+    make = partial(make_command, then=_train_method)
+    return {name: Later(partial(make, name), partial(about, name)) for name in METHODS.names()}
 
 
 def _train_method(method: str, asked: Asked) -> None:
@@ -66,11 +65,9 @@ def predict(
     """Predict all test splits again with a trained run.
 
     Args:
-        run: A trained run: its folder, or its name under runs/ (SCENE/NAME).
         dataset: A dataset's folder, or its name under data/. Default: where the run found it.
         variant: Predict a variant of the dataset instead, into the run's variants/NAME: x2 for what `datagen add
             --larger 2` made, or an edit, such as remove:glass_ball.
-        device: Where to compute; auto uses a GPU if there is one.
         overwrite: Predict again even where the predictions are intact.
     """
     from datagen.data.variants import open_variant
@@ -113,9 +110,7 @@ def film(
     """Render a film with a trained run; `datagen film` path-traces the same film.
 
     Args:
-        run: A trained run: its folder, or its name under runs/ (SCENE/NAME).
         dataset: A dataset's folder, or its name under data/. Default: where the run found it.
-        device: Where to compute; auto uses a GPU if there is one.
     """
     from datagen.builder.film import plan_film, write_film
     from model.run.run_folder import find_run, open_trained

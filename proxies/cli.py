@@ -37,7 +37,6 @@ def make(
     """Fit a proxy to every object and peel the proxies for every view; images are not rendered again.
 
     Args:
-        dataset: A dataset's folder, or its name under data/. Default: the only one there.
         kind: box (oriented, of minimum volume), ellipsoid (of minimum volume), hull (convex, rounded edges) or wrap
             (shrink-wrapped, follows hollows).
         assign: OBJECT=KIND, instead of one kind for all: the kind for one object, or for all that match a pattern such
@@ -66,7 +65,6 @@ def check(dataset: str | None = None, /, *, geometry: str = "ellipsoid") -> None
     """Verify the proxies on disk: closed, outward, enclosing the object, with texels for every face.
 
     Args:
-        dataset: A dataset's folder, or its name under data/. Default: the only one there.
         geometry: box, ellipsoid, hull, wrap, or the name of a mixture or of fitted shapes.
     """
     from datagen.data.dataset import open_dataset

@@ -4,10 +4,11 @@ import dataclasses
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from datagen.data.config import DatasetConfig, SplitConfig, parse_resolution
 from datagen.disk.errors import HyalineError, UsageError
+from datagen.scene.finding import list_families
 from datagen.terminal.command import choose
 
 if TYPE_CHECKING:
@@ -32,9 +33,9 @@ class BuildChoices:
     """Parallel processes; the bytes do not depend on their number."""
     overwrite: bool = False
     """Replace an existing dataset that has other settings."""
-    family: str | None = None
-    """For random scenes: object, table (glassware among other objects), nested (one medium inside another), solid,
-    drinks, frosted, lamps, or a family of an installed package. Default: the seed cycles through the first three."""
+    family: Annotated[str | None, list_families] = None
+    """For random scenes: one object, a table (glassware among other objects), nested media, and others. Default: the
+    seed cycles through the first three."""
     count: int | None = None
     """For random scenes: build this many datasets, with --seed and the seeds that follow. One that fails is reported
     and does not stop the others."""
@@ -144,8 +145,8 @@ class AddChoices:
 class FilmChoices:
     """A film and its file."""
 
-    path: str = "orbit"
-    """The camera's path: orbit, or spline (through the interpolating test views)."""
+    path: Literal["orbit", "spline"] = "orbit"
+    """The camera's path: around the scene, or through the interpolating test views."""
     out: Path | None = None
     """File to write: .webp, or .mp4 (needs the extra `video`). Default: DATASET-RUN.webp, or DATASET-truth.webp."""
     frames: int = 48

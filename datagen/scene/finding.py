@@ -85,6 +85,11 @@ def find_source(given: str, *, is_of_files: bool) -> SceneSource | None:
     return next((source for source in sources if source.is_of_files is is_of_files and source.has(given)), None)
 
 
+def list_families() -> list[str]:
+    """The families of random scenes."""
+    return [family for name in SOURCES.names() for family in SOURCES.find(name).families()]
+
+
 def numbered_scenes(given: str) -> SceneSource | None:
     """The source that numbers its scenes, if that is what a word means: `random`."""
     source = SOURCES.find(given) if given in SOURCES.names() else None

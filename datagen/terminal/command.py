@@ -20,8 +20,7 @@ from types import FrameType
 from typing import NoReturn, TypeVar
 
 from datagen.disk.errors import HyalineError, as_hyaline_error, naming, printable
-from datagen.terminal.parsing import MAX_SUGGESTED as MAX_SUGGESTED
-from datagen.terminal.parsing import QUIET, Command, CommandGroup, parse
+from datagen.terminal.parsing import QUIET, Command, CommandGroup, complete, parse
 from datagen.terminal.parsing import choose as choose
 from datagen.terminal.plugins import VERSION, naming_parts
 
@@ -46,6 +45,11 @@ def run(program: str, command: Command | CommandGroup, arguments: list[str]) -> 
     try:
         if "--version" in arguments:
             print(f"hyaline {VERSION}", flush=True)
+            return
+        if arguments[:1] == ["--complete"]:  # The shell, by `complete -C`, with the word that is being typed.
+            words = os.environ["COMP_LINE"][: int(os.environ["COMP_POINT"])].split()[1:]
+            for word in complete(command, words[: -1 if arguments[2] else None]):
+                print(f"{word}\n" * word.startswith(arguments[2]), end="")
             return
         where = " ".join([_program(), *(word for word in arguments[:1] if not word.startswith("-"))])
         with raise_on_sigterm(), _flushed(), naming_parts(where):

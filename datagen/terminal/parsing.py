@@ -3,6 +3,7 @@
 A function's parameters are its flags, and so are the fields of records among them; those before a `/` are words, which
 may also be given as flags by their names. A list is a flag that may be repeated, a switch is `--x` or `--no-x`. Help
 comes from docstrings. tyro is imported only once a command is chosen, so that lists of commands are printed at once.
+Choices are those of a Literal, or what a function in a type names, as in `Annotated[str, METHODS.names]`.
 """
 
 import contextlib
@@ -16,7 +17,8 @@ import sys
 import textwrap
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any, NamedTuple, get_args, get_origin
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
 from datagen.disk.errors import HyalineError, UsageError, shown
 
@@ -79,7 +81,7 @@ def choose(what: str, value: str, choices: Collection[str]) -> str:
     raise kind_of_error(f"{where}{colon}no {kind} {shown(value)}; {hint} from {', '.join(sorted(choices))}")
 
 
-def parse(program: str, command: Command | CommandGroup, words: Sequence[str]) -> Callable[[], None]:
+def parse(program: str, command: Command | CommandGroup, words: Sequence[str]) -> functools.partial[None]:
     """The call that words ask for.
 
     Raises:
@@ -97,32 +99,23 @@ def parse(program: str, command: Command | CommandGroup, words: Sequence[str]) -
         commands = command.commands()
         found = commands[choose(f"{program} {command.word}", name, commands)]
         program, command = f"{program} {name}", found.load(words) if isinstance(found, Later) else found
-    given = collect(program, command, words)
-    return functools.partial(command, *given.args, **given.kwargs)
+    return _parse(program, command, words)
 
 
-class Given(NamedTuple):
-    """The arguments for a command's function."""
-
-    args: tuple[Any, ...]
-    kwargs: dict[str, Any]
-
-
-def collect(program: str, command: Command, words: Sequence[str]) -> Given:
-    """The arguments that words give to a command's function; raises what `parse` does."""
+def _parse(program: str, command: Command, words: Sequence[str]) -> functools.partial[None]:
     import tyro
 
     describe(command)
 
     @functools.wraps(command)
-    def given(*args: Any, **kwargs: Any) -> Given:
-        return Given(args, kwargs)
+    def asked(*args: Any, **kwargs: Any) -> functools.partial[None]:
+        return functools.partial(command, *args, **kwargs)
 
     shown, refused = io.StringIO(), io.StringIO()
     try:
         with contextlib.redirect_stdout(shown), contextlib.redirect_stderr(refused):
             return tyro.cli(
-                given,
+                asked,
                 prog=program,
                 description=(inspect.getdoc(command) or "").partition("\n\nArgs:")[0] + "\n\n" + QUIET_HELP,
                 args=_words_first(command, words),
@@ -168,13 +161,48 @@ def _as_flags(command: Command, word: str) -> list[str]:
 
 def flags_of(documented: type | Command) -> dict[str, str]:
     """The field or parameter behind each flag, those of records in it included; flags without dashes in front."""
-    flags: dict[str, str] = {}
+    return {word[2:]: name for word, name, _, _ in _typed(documented) if word}
+
+
+def _typed(documented: type | Command) -> Iterator[tuple[str, str, Any, Mapping[str, Any]]]:
+    """Flags, in dashes, and positional words, which are empty: with name, kind and metadata."""
     for name, kind, about in _items(documented):
         if dataclasses.is_dataclass(kind):
-            flags |= flags_of(kind)  # pyright: ignore[reportArgumentType]
-        elif not about.get("is_hidden") and not about.get("is_positional"):
-            flags[about.get("flag") or name.replace("_", "-")] = name
-    return flags
+            yield from _typed(kind)  # pyright: ignore[reportArgumentType]
+        elif not about.get("is_hidden"):
+            flag = "--" + (about.get("flag") or name.replace("_", "-"))
+            yield "" if about.get("is_positional") else flag, name, kind, about
+
+
+ABOUT: dict[str, str | None] = {
+    "dataset": "A dataset's folder, or its name under data/. Default: the only one there.",
+    "run": "A trained run: its folder, or its name under runs/ (SCENE/NAME).",
+    "device": "Where to compute; auto uses a GPU if there is one.",
+}
+"""Describes parameters of these names whose docstrings do not."""
+PLACES = {"dataset": ["data/*/dataset.json"], "run": ["runs/*/*/run.json"]}
+PLACES["what"] = PLACES["dataset"] + PLACES["run"]
+"""Files that mark the folders which parameters of these names mean."""
+
+
+def complete(command: Command | CommandGroup, words: Sequence[str]) -> list[str]:
+    """What may follow words on a command line: commands; choices of the last flag, if there are any; or the positional
+    words and all flags."""
+    if isinstance(command, CommandGroup):
+        commands, name = command.commands(), words[0] if words else ""
+        if name not in commands:
+            return list(commands)
+        chosen = commands[name]
+        return complete(chosen.load(words[1:]) if isinstance(chosen, Later) else chosen, words[1:])
+    found: list[str] = []
+    for word, name, kind, about in _typed(command):
+        known = [*(about["choices"] or list)()]
+        for pattern in PLACES.get(name, ()):
+            known += ["/".join(path.parts[1:-1]) for path in sorted(Path().glob(pattern))]
+        if words[-1:] == [word] and kind is not bool:
+            return known
+        found += [word] if word else known
+    return found
 
 
 def changed_fields(record: object, usual: object) -> Iterator[tuple[dataclasses.Field[Any], Any]]:
@@ -215,10 +243,9 @@ def describe(documented: type | Command) -> None:
     import docstring_parser
     import tyro
 
-    parts = _bases(documented) if isinstance(documented, type) else [documented]
-    texts = {
-        item.arg_name: item.description for part in parts for item in docstring_parser.parse_from_object(part).params
-    }
+    parts = reversed(documented.__mro__) if isinstance(documented, type) else [documented]
+    found = [docstring_parser.parse_from_object(part).params for part in parts if part is not object]
+    texts = ABOUT | {item.arg_name: item.description for params in found for item in params}
     annotated = {}
     for name, kind, about in list(_items(documented)):
         if dataclasses.is_dataclass(kind):
@@ -227,41 +254,42 @@ def describe(documented: type | Command) -> None:
         elif about.get("is_hidden"):
             annotated[name] = tyro.conf.Suppress[kind]
         else:
-            text = " ".join((texts.get(name) or "").split())
+            text, choices = " ".join((texts.get(name) or "").split()), about["choices"]
             if about.get("is_positional") and not isinstance(documented, type):
-                text += f" Also as {' or '.join(_as_flags(documented, name))}."
+                names = f" Names: {', '.join(choices())}." if choices else ""
+                text += f"{names} Also as {' or '.join(_as_flags(documented, name))}."
             shown = tyro.conf.arg(
                 name=about.get("flag") or None,
-                metavar=about.get("metavar"),
+                metavar=about.get("metavar") or (choices and f"{{{','.join(choices())}}}"),
                 help=text,
                 help_behavior_hint=_default,
             )
-            annotated[name] = Annotated[kind, shown]
+            annotated[name] = Annotated[kind, shown, choices]
     documented.__annotations__ = {**documented.__dict__.get("__annotations__", {}), **annotated}
 
 
 def _items(documented: type | Command) -> Iterator[tuple[str, Any, Mapping[str, Any]]]:
     """The name, kind and metadata of each field or parameter."""
+    kinds = get_type_hints(documented, include_extras=True)
+    plain = get_type_hints(documented)
     if isinstance(documented, type):
-        kinds = {
-            name: kind for base in _bases(documented) for name, kind in base.__dict__.get("__annotations__", {}).items()
-        }
         for item in dataclasses.fields(documented):
-            yield item.name, _plain(kinds[item.name]), item.metadata
-    else:
-        for name, parameter in inspect.signature(documented).parameters.items():
-            kind = _plain(documented.__annotations__[name])
-            word = name.upper() if parameter.default is parameter.empty else f"[{name.upper()}]"
-            is_positional = parameter.kind is parameter.POSITIONAL_ONLY
-            yield name, kind, {"is_positional": is_positional, "metavar": word if is_positional else None}
+            yield item.name, plain[item.name], {**item.metadata, "choices": _choices(kinds[item.name])}
+        return
+    for name, parameter in inspect.signature(documented).parameters.items():
+        word = name.upper() if parameter.default is parameter.empty else f"[{name.upper()}]"
+        is_positional = parameter.kind is parameter.POSITIONAL_ONLY
+        metavar, choices = word if is_positional else None, _choices(kinds[name])
+        yield name, plain[name], {"is_positional": is_positional, "metavar": metavar, "choices": choices}
 
 
-def _bases(record: type) -> list[type]:
-    return [base for base in reversed(record.__mro__) if dataclasses.is_dataclass(base)]
-
-
-def _plain(kind: Any) -> Any:
-    return get_args(kind)[0] if get_origin(kind) is Annotated else kind
+def _choices(kind: Any) -> Callable[[], Iterable[str]] | None:
+    """What lists the choices of a type."""
+    if inspect.isroutine(kind):
+        return kind
+    if get_origin(kind) is Literal:
+        return functools.partial(get_args, kind)
+    return next(filter(None, map(_choices, get_args(kind))), None)
 
 
 def _default(value: str) -> str:

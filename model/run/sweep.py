@@ -29,6 +29,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 from datagen.builder.choices import LaunchChoices
 from datagen.disk.errors import DamagedError, HyalineError, shown
@@ -161,7 +162,7 @@ def _parsed(words: tuple[str, ...], where: str) -> tuple[str, Path]:
 
 
 def sweep(
-    experiment: str,
+    experiment: Annotated[str, list_experiments],
     /,
     *,
     dataset: tuple[str, ...] = (),
@@ -176,8 +177,7 @@ def sweep(
 
     Args:
         experiment: A file of command lines, whose name ends with .txt (see model/run/sweep.py), - for lines from
-            stdin, paper-tables or one of its parts (table1, table2, square, claims, figure8, deepvoxels, larger),
-            paper-sizes, curves or random.
+            stdin, or the name of one that comes with hyaline.
         dataset: Train on this existing dataset instead of the file's. May be repeated.
         seed: Train with this seed instead of the file's. May be repeated.
         jobs: Parallel processes on each GPU, or on the CPU, whose cores they share. For the highest throughput, use as

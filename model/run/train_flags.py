@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from datagen.data.paths import TRUTH, find_dataset
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import say
-from datagen.terminal.parsing import Command, changed_flags, collect
+from datagen.terminal.parsing import Command, changed_flags, parse
 from model.methods.protocol import METHODS, MethodConfig, about, open_inputs
 from model.runtime import choose_device
 from model.settings import FETCH, NO_VGG, RUNS, Optimisation, RunFlags, decided, suffixes
@@ -62,8 +62,7 @@ def make_command(method: str, words: Sequence[str], then: Callable[[str, Asked],
         then(method, Asked(dataset=dataset, run=choices, method=renderer, optimisation=optimisation))
 
     train.__annotations__ |= {"renderer": type(usual), "optimisation": type(optimised)}
-    dataset = "A dataset's folder, or its name under data/. Default: the only one there."
-    train.__doc__ = f"{about(method)}\n\nArgs:\n    dataset: {dataset}"
+    train.__doc__ = about(method)
     return train
 
 
@@ -83,8 +82,7 @@ def parse_train(method: str, words: tuple[str, ...]) -> Asked:
 def _parse_train(method: str, words: tuple[str, ...]) -> Asked:
     found: list[Asked] = []
     command = make_command(method, words, lambda _, asked: found.append(asked))
-    given = collect(f"model train {method}", command, words)
-    command(*given.args, **given.kwargs)
+    parse(f"model train {method}", command, words)()
     return found[0]
 
 

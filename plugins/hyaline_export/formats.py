@@ -12,7 +12,7 @@ from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError, naming
 from datagen.disk.storage import real_path, sync_folder
 from datagen.terminal.command import say
-from datagen.terminal.plugins import Group
+from hyaline_export.commands import FORMATS
 from hyaline_export.source import Source
 
 
@@ -27,23 +27,6 @@ class Format:
     takes_variants: bool = False
     """Whether variants can be exported; most of them have only test views."""
 
-
-FORMATS: Group[Format] = Group(
-    name="hyaline.exports",
-    what="format",
-    built_in={
-        "nerfstudio": "hyaline_export.transforms:NERFSTUDIO",
-        "blender": "hyaline_export.transforms:BLENDER",
-        "3dgs": "hyaline_export.transforms:GAUSSIAN_SPLATTING",
-        "colmap": "hyaline_export.colmap:COLMAP",
-        "bop": "hyaline_export.bop:BOP",
-        "bop-sensor": "hyaline_export.bop:BOP_SENSOR",
-        "capture": "hyaline_export.transforms:CAPTURE",
-        "huggingface": "hyaline_export.huggingface:HUGGING_FACE",
-    },
-    guide="docs/extending.md",
-    kind="hyaline_export.formats:Format",
-)
 
 EXPORTS = Path("exports")
 """Where exports go by default."""

@@ -127,11 +127,11 @@ def _outward(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
     """The closed mesh with each part outward, but for cavities."""
     if signed_volume(mesh) < 0:
         mesh = _turned(mesh, np.ones(len(mesh.faces), bool))
-        remarks.note(where, "was inside out; its faces were turned round")
+        remarks.note(where, "its faces pointed inwards; flipped")
     part, volumes, inside_out = parts_inside_out(mesh)
     if not inside_out:
         return mesh
-    remarks.note(where, f"{len(inside_out)} of its {len(volumes)} parts were inside out; their faces were turned round")
+    remarks.note(where, f"{len(inside_out)} of its {len(volumes)} parts have faces that pointed inwards; flipped")
     return _turned(mesh, np.isin(part, inside_out))
 
 

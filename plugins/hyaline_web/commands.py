@@ -48,7 +48,6 @@ def view(what: str, /, *, port: int = 8080, device: Device = "auto") -> None:
         what: A run, trained or still training, or a dataset: its folder, or its name under runs/ (SCENE/NAME) or data/.
         port: Port of this machine to listen at; 0 takes any free one. From another machine, `ssh -L 8080:localhost:8080
             THIS_MACHINE` brings the viewer to that one's port 8080.
-        device: Where to compute; auto uses a GPU if there is one.
     """
     from datagen.terminal.command import Stopped
     from hyaline_web.view.view import show

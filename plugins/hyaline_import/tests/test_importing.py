@@ -119,7 +119,7 @@ def test_scale_and_up_are_as_one_says(scale: float | None, up: str, expected: li
 def test_glass_that_is_inside_out_in_the_file_is_turned(tmp_path: Path) -> None:
     done = import_scene(glass_of(inside_out(BOX), name="bowl").written(tmp_path), ImportChoices())
     assert signed_volume(done.scene.objects[0].mesh) == pytest.approx(signed_volume(BOX), rel=1e-4)
-    assert "bowl: was inside out; its faces were turned round" in done.record["notes"]
+    assert "bowl: its faces pointed inwards; flipped" in done.record["notes"]
 
 
 def mesh_of_box() -> Mesh:

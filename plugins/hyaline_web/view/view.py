@@ -177,6 +177,7 @@ class Stage:
             self._add_switch(label, handles, is_on=not has_run)  # They would cover the prediction.
         splits = (f'<b style="color: {split_color(dataset, split)}">■</b> {split}' for split in dataset.splits)
         gui.add_html(
+            "<style>label { color: var(--mantine-color-text); opacity: 1 }</style>"  # viser's are too pale.
             f'<p style="margin: 8px 12px; font-size: .8em">Click a camera to look through it: {", ".join(splits)}</p>'
         )
 

@@ -95,7 +95,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_site_has_no_broken_link_and_loads_nothing_from_elsewhere(site: Path) -> None:
-    pages = {page: Links(page) for page in site.rglob("*.html") if page.name != "404.html"}
+    pages = {page: Links(page) for page in site.rglob("*.html") if page.name not in ("404.html", "search.html")}
     assert len(pages) == len(list((ROOT / "docs").rglob("*.md"))) + 1
     broken = []
     for page, links in pages.items():
@@ -113,7 +113,7 @@ def test_the_api_reference_has_every_public_name(site: Path) -> None:
     assert sorted(names) == sorted(set(hyaline.__all__) - {"__version__"})
     page = Links(site / "api.html")
     assert {name.lower() for name in names} <= page.ids and "datasetview" in page.ids
-    text = (site / "api.html").read_text()
+    text = re.sub("<[^>]+>", "", (site / "api.html").read_text())
     assert "Absolute index of refraction" in text and "folder: Path | str | None=None" in text
 
 

@@ -11,7 +11,7 @@ from support.synthetic import write_synthetic_dataset
 
 from datagen.builder.choices import AddChoices, BuildChoices, ShardChoices, SizeChoices
 from datagen.disk.errors import UsageError
-from datagen.terminal.parsing import CommandGroup, Later, changed_flags, collect, flag_words, group, parse
+from datagen.terminal.parsing import CommandGroup, Later, changed_flags, flag_words, group, parse
 
 PROGRAMS = ("datagen", "proxies", "model")
 
@@ -54,11 +54,45 @@ def test_a_bare_command_prints_its_help(line: str) -> None:
     assert (bare.status, bare.out, bare.err) == (2, call(f"{line} --help").out, "")
 
 
+def test_the_page_of_commands_has_each() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "commands.md").read_text()
+    assert [line for line in COMMANDS if line not in page and not line.startswith("model train ")] == []
+
+
 def test_lists_are_flags_that_repeat_and_switches_have_two_forms() -> None:
     asked = parsed("datagen add one --edit no-glass --edit remove:vase --larger 2 --larger 4 --no-twins --angles")
     assert asked["choices"] == AddChoices(edit=("no-glass", "remove:vase"), larger=(2, 4), angles=True)
     with pytest.raises(UsageError, match="Unrecognized options: 4"):
         parsed("datagen add one --larger 2 4")
+
+
+@pytest.mark.parametrize(
+    ("line", "choices"),
+    [
+        ("datagen b", ["build"]),
+        ("datagen build p", ["plant_shelf", "prism_bench", "pool"]),
+        ("datagen build --preset s", ["small", "standard"]),
+        ("datagen build --family n", ["nested"]),
+        ("datagen build --out ", []),  # A file.
+        ("datagen export --format bop", ["bop", "bop-sensor"]),
+        ("datagen look o", ["one"]),
+        ("model train paper --twice ", ["one"]),
+        ("model view ", ["one", "one/mine"]),
+        ("model predict --over", ["--overwrite"]),
+    ],
+)
+def test_a_shell_completes_commands_flags_choices_datasets_and_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str, choices: list[str]
+) -> None:
+    for file in ("data/one/dataset.json", "data/other", "runs/one/mine/run.json"):
+        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / file).touch()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COMP_LINE", f"{line} and more")
+    monkeypatch.setenv("COMP_POINT", str(len(line)))
+    program, begun = line.split(" ")[0], line.split(" ")[-1]
+    found = call(f"{program} --complete {program} '{begun}' before").out.split()
+    assert [word for word in found if begun or not word.startswith("--")] == choices
 
 
 @pytest.mark.parametrize(
@@ -74,7 +108,8 @@ def test_the_words_of_a_record_ask_for_it(record: object) -> None:
     def command(*, choices: object = type(record)()) -> None: ...
 
     command.__annotations__["choices"] = type(record)
-    assert collect("program", command, flag_words(changed_flags(record, type(record)()))).kwargs == {"choices": record}
+    asked = parse("program", command, flag_words(changed_flags(record, type(record)())))
+    assert asked.keywords == {"choices": record}
 
 
 def test_scripts_get_one_object_and_no_progress(tmp_path: Path) -> None:

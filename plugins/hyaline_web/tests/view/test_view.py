@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from support.browser import check_accessible, require_browser
 from support.commands import call
 from support.viewer import PATIENCE_S, open_window, pose_of, require_viewer, viewer
 
 import hyaline
+from benchmarks.browser import running_browser, watched_page
 from datagen.terminal.command import Held
 from hyaline_web.view.live_run import camera_in_window
 
@@ -62,6 +64,15 @@ def test_a_dataset_without_runs_shows_its_cameras_with_their_pictures_and_its_me
                     break
     assert pictures == len(views) == 6
     assert names == {f"/cameras/{split}/{view:04d}" for split, view in views} | {"/meshes/pane", "/meshes/floor"}
+
+
+def test_the_viewers_own_controls_are_accessible() -> None:
+    require_viewer()
+    require_browser()
+    with viewer("one") as (_, address), running_browser() as browser, watched_page(browser, width=800) as watched:
+        watched.page.goto(address)
+        watched.page.get_by_text("Click a camera").wait_for()
+        check_accessible(watched, besides=("button-name", "region"))  # viser 1.1's own.
 
 
 @pytest.mark.parametrize(

@@ -1,3 +1,10 @@
+for (const block of document.querySelectorAll("pre")) {
+  const [button, text] = [document.createElement("button"), block.textContent];
+  button.textContent = "Copy";
+  button.onclick = () => navigator.clipboard.writeText(text).then(() => (button.textContent = "Copied"));
+  block.append(button);
+}
+
 // From disk, browsers start no worker and read no JSON. There, search runs in the page; the index is a script.
 if (location.protocol === "file:") {
   const load = (name) =>
