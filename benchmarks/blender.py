@@ -141,6 +141,7 @@ def draw_by_cycles(
     *,
     where: object,
     spp: int,
+    max_depth: int = MAX_DEPTH,
     seeds: Sequence[Sequence[int]] = ((0, 1),),
     file: Mapping[str, Json] = MappingProxyType({}),
 ) -> Drawn:
@@ -149,6 +150,7 @@ def draw_by_cycles(
     Args:
         where: what errors name.
         spp: samples per pixel of both pictures together.
+        max_depth: longest light path in segments.
         seeds: of the two pictures, by camera.
     """
     with tempfile.TemporaryDirectory(prefix="hyaline-cycles-") as folder:
@@ -170,7 +172,7 @@ def draw_by_cycles(
             "width": cameras[0].width,
             "height": cameras[0].height,
             "spp": max(1, spp // 2),
-            "max_depth": MAX_DEPTH,
+            "max_depth": max_depth,
         }
         (root / "job.json").write_text(json.dumps(job))
         command = [str(python.absolute()), "-I", str(CHILD), str(root / "job.json"), str(root / "answer.json")]

@@ -145,7 +145,6 @@ def make_material(bpy, node: str, inputs: dict, image=None):
     """A material of one node for its surface, with these inputs; an image is its colour."""
     material = bpy.data.materials.new("material")
     material.use_nodes = True
-    material.cycles.use_bump_map_correction = False
     nodes, links = material.node_tree.nodes, material.node_tree.links
     nodes.clear()
     surface, output = nodes.new(node), nodes.new("ShaderNodeOutputMaterial")

@@ -3,7 +3,7 @@
     python3.11 -m venv blender && blender/bin/pip install bpy==4.4.0
     python examples/truth_by_cycles.py glass_table MAP.exr data/glass_table-cycles --python blender/bin/python
     model train light-path glass_table-cycles
-    datagen build data/glass_table-cycles/scene --out data/glass_table-ours   # the same by hyaline
+    datagen build data/glass_table-cycles/scene --out data/glass_table-ours --max-depth 100   # the same by hyaline
 
 bpy brings eight maps of Poly Haven (CC0) in bpy/4.4/datafiles/studiolights/world. Meshes, cameras, glass, metal and
 colours are those of hyaline's scene; coats of plastic, which Cycles has otherwise, and lamps are left out. With
@@ -36,8 +36,8 @@ from datagen.terminal.command import say
 SKY = "sky.exr"
 VIEWS_AT_ONCE = 4
 """Views that one process of Blender draws; they are kept together."""
-SIZE = {"resolution": 128, "views": 60, "test_views": 8, "spp": 256, "test_spp": 512}
-"""Defaults of the flags for sizes, which are those of `datagen build`."""
+SIZE = {"resolution": 128, "views": 60, "test_views": 8, "spp": 256, "test_spp": 512, "max_depth": 100}
+"""Defaults of the flags for sizes, which are those of `datagen build`. Rims of clear glass guide light for long."""
 
 
 def main() -> None:
@@ -99,11 +99,10 @@ def draw(dataset: Dataset, split: Split, views: list[View], python: Path, spp: i
     """Draws some views of a split, and commits them."""
     from datagen.render.truth import derive_seed, truth_files, truth_of_halves
 
-    scene, cameras = open_scene(dataset), dataset.cameras(split)
+    scene, cameras = open_scene(dataset), [dataset.cameras(split)[view.index] for view in views]
     seeds = [[derive_seed(split, view.index, half) >> 1 for half in "ab"] for view in views]
-    drawn = draw_by_cycles(
-        scene, scene.objects, [cameras[view.index] for view in views], python, where=dataset.root, spp=spp, seeds=seeds
-    )
+    settings = {"spp": spp, "max_depth": dataset.config.max_depth, "seeds": seeds}
+    drawn = draw_by_cycles(scene, scene.objects, cameras, python, where=dataset.root, **settings)
     for view, (first, second), pair in zip(views, drawn.halves, seeds, strict=True):
         truth = truth_of_halves(first.astype(np.float64), second.astype(np.float64), spp)
         renderer = f"Cycles of Blender {drawn.version}"
