@@ -1,10 +1,10 @@
-"""Imports a file with Blender and draws it with Cycles. Runs in an environment with `bpy`, without hyaline.
+"""Draws objects of hyaline, and what Blender imports, with Cycles. Runs in an environment with `bpy`, without hyaline.
 
     python blender_child.py JOB.json ANSWER.json
 
-The job names the file, the files of sky, ground and the two pictures to write, and holds the camera, the size of the
-scene in metres and its place. The file's lamps and cameras are removed; its meshes and materials stay as Blender reads
-them, but for absorption.
+The job holds the objects, the lens, and of each view its camera, its pictures to write and their seeds. It may name a
+file to import, its scale and its place in metres. The file's lamps and cameras are removed; its meshes and materials
+stay as Blender reads them, but for absorption.
 """
 
 # pyright: reportMissingImports=false
@@ -24,24 +24,40 @@ RAW_AXES = {"forward_axis": "Y", "up_axis": "Z"}
 """The file's own axes; the job's matrix turns them."""
 
 
+SURFACES = {
+    "Diffuse": "ShaderNodeBsdfDiffuse",
+    "Conductor": "ShaderNodeBsdfAnisotropic",
+    "Dielectric": "ShaderNodeBsdfGlass",
+}
+"""Blender's node for a material of hyaline, by its type in scene.json."""
+
+
 def main(job: dict, answer: Path) -> None:
     import bpy
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
+    size = read_file(bpy, job) if "file" in job else []
+    for item in job["objects"]:
+        add_object(bpy, item)
+    add_sky(bpy, job)
+    camera = add_camera(bpy, job)
+    set_cycles(bpy, job)
+    for view in job["views"]:
+        place_camera(camera, view)
+        for seed, picture in zip(view["seeds"], view["pictures"]):
+            bpy.context.scene.cycles.seed = seed
+            draw(bpy, Path(picture))
+    answer.write_text(json.dumps({"version": bpy.app.version_string, "size": size}))
+
+
+def read_file(bpy, job: dict) -> list[float]:
+    """Imports the file, at its place and without its lights; returns its size in metres."""
     import_file(bpy, Path(job["file"]))
     for item in list(bpy.data.objects):
         if item.type in ("LIGHT", "CAMERA"):
             bpy.data.objects.remove(item)
-    size = place(bpy, job)
     set_absorption(bpy, job["scale"])
-    add_ground(bpy, job)
-    add_sky(bpy, job)
-    add_camera(bpy, job)
-    set_cycles(bpy, job)
-    for seed, picture in enumerate(job["pictures"]):
-        bpy.context.scene.cycles.seed = seed
-        draw(bpy, Path(picture))
-    answer.write_text(json.dumps({"version": bpy.app.version_string, "size": size}))
+    return place(bpy, job)
 
 
 def import_file(bpy, file: Path) -> None:
@@ -95,33 +111,58 @@ def set_absorption(bpy, scale: float) -> None:
     for material in bpy.data.materials:
         for node in material.node_tree.nodes if material.use_nodes else ():
             if node.type == "VOLUME_ABSORPTION":
-                color, density = node.inputs["Color"], node.inputs["Density"]
-                lost = [-math.log(max(value, 1e-4)) for value in color.default_value[:3]]
-                most = max(*lost, 1e-9)
-                color.default_value = (*(1 - value / most for value in lost), 1)
-                density.default_value *= most / scale
+                density = node.inputs["Density"].default_value / scale
+                colors = node.inputs["Color"].default_value[:3]
+                set_coefficients(node, [-math.log(max(value, 1e-4)) * density for value in colors])
 
 
-def add_ground(bpy, job: dict) -> None:
-    if job["ground"] is None:
-        return
-    mesh = bpy.data.meshes.new("ground")
-    mesh.from_pydata(job["ground"]["vertices"], [], job["ground"]["faces"])
-    layer = mesh.uv_layers.new()
-    for loop, corner in zip(mesh.loops, layer.data):
-        corner.uv = job["ground"]["uv"][loop.vertex_index]
-    material = bpy.data.materials.new("ground")
+def set_coefficients(node, coefficients: list[float]) -> None:
+    """Makes a volume absorb so much of each channel, in 1/m: Blender's own absorb density (1 - colour)."""
+    most = max(*coefficients, 1e-9)
+    node.inputs["Density"].default_value = most
+    node.inputs["Color"].default_value = (*(1 - value / most for value in coefficients), 1)
+
+
+def add_object(bpy, item: dict) -> None:
+    import numpy as np
+
+    arrays = np.load(item["mesh"])
+    mesh = bpy.data.meshes.new("mesh")
+    mesh.from_pydata(arrays["vertices"].tolist(), [], arrays["faces"].tolist(), shade_flat=False)
+    corners = arrays["faces"].ravel()
+    mesh.normals_split_custom_set(arrays["normals"][corners].tolist())
+    mesh.uv_layers.new().data.foreach_set("uv", arrays["uv"][corners].ravel())
+    image = bpy.data.images.load(item["image"]) if "image" in item else None
+    mesh.materials.append(make_material(bpy, SURFACES[item["type"]], item["inputs"], image))
+    if any(item.get("absorption", ())):
+        add_absorption(mesh.materials[0], item["absorption"])
+    thing = bpy.data.objects.new("object", mesh)
+    thing.cycles.shadow_terminator_geometry_offset = 0.0
+    bpy.context.scene.collection.objects.link(thing)
+
+
+def make_material(bpy, node: str, inputs: dict, image=None):
+    """A material of one node for its surface, with these inputs; an image is its colour."""
+    material = bpy.data.materials.new("material")
     material.use_nodes = True
     nodes, links = material.node_tree.nodes, material.node_tree.links
     nodes.clear()
-    image, diffuse, output = (
-        nodes.new(kind) for kind in ("ShaderNodeTexImage", "ShaderNodeBsdfDiffuse", "ShaderNodeOutputMaterial")
-    )
-    image.image = bpy.data.images.load(job["ground"]["image"])
-    links.new(image.outputs["Color"], diffuse.inputs["Color"])
-    links.new(diffuse.outputs["BSDF"], output.inputs["Surface"])
-    mesh.materials.append(material)
-    bpy.context.scene.collection.objects.link(bpy.data.objects.new("ground", mesh))
+    surface, output = nodes.new(node), nodes.new("ShaderNodeOutputMaterial")
+    links.new(surface.outputs[0], output.inputs["Surface"])
+    for name, value in inputs.items():
+        surface.inputs[name].default_value = value
+    if image is not None:
+        texture = nodes.new("ShaderNodeTexImage")
+        texture.image, texture.extension = image, "EXTEND"
+        links.new(texture.outputs["Color"], surface.inputs["Color"])
+    return material
+
+
+def add_absorption(material, coefficients: list[float]) -> None:
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    volume = nodes.new("ShaderNodeVolumeAbsorption")
+    set_coefficients(volume, coefficients)
+    links.new(volume.outputs["Volume"], nodes["Material Output"].inputs["Volume"])
 
 
 def add_sky(bpy, job: dict) -> None:
@@ -133,16 +174,20 @@ def add_sky(bpy, job: dict) -> None:
     bpy.context.scene.world = world
 
 
-def add_camera(bpy, job: dict) -> None:
-    from mathutils import Matrix
-
+def add_camera(bpy, job: dict):
     lens = bpy.data.cameras.new("camera")
     lens.sensor_fit, lens.angle = "HORIZONTAL", job["fov_x"]
     lens.clip_start, lens.clip_end = 1e-3, 1e4
     camera = bpy.data.objects.new("camera", lens)
-    camera.matrix_world = Matrix(job["world_from_camera"])
     bpy.context.scene.collection.objects.link(camera)
     bpy.context.scene.camera = camera
+    return camera
+
+
+def place_camera(camera, view: dict) -> None:
+    from mathutils import Matrix
+
+    camera.matrix_world = Matrix(view["world_from_camera"])
 
 
 def set_cycles(bpy, job: dict) -> None:
@@ -157,6 +202,7 @@ def set_cycles(bpy, job: dict) -> None:
     cycles.samples, cycles.use_adaptive_sampling, cycles.use_denoising = job["spp"], False, False
     cycles.pixel_filter_type, cycles.filter_width = "BOX", 1.0
     cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0.0
+    cycles.light_sampling_threshold = 0.0
     cycles.blur_glossy, cycles.caustics_reflective, cycles.caustics_refractive = 0.0, True, True
     for kind in ("max", "diffuse", "glossy", "transmission", "transparent_max", "volume"):
         setattr(cycles, f"{kind}_bounces", job["max_depth"])

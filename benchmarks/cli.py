@@ -39,7 +39,7 @@ def commands() -> CommandGroup:
 def peel(
     size: int = 512,
     layers: int = 6,
-    triangles: float = 1.0,
+    subdivisions: int = 6,
     rounds: int = 7,
 ) -> None:
     """Peeling a view and tracing light paths: the tracers against plain loops.
@@ -47,7 +47,7 @@ def peel(
     Args:
         size: Width and height in pixels.
         layers: Layers kept per ray.
-        triangles: A factor on the 315,000 triangles of the scene.
+        subdivisions: Of the scene's spheres: four times the triangles for each; 6 give 350,000.
         rounds: Turns of each.
     """
     from datagen.machine.mitsuba_variant import use_mitsuba
@@ -56,12 +56,12 @@ def peel(
     from benchmarks.harness import show
     from benchmarks.peel import bench_peel
 
-    show(bench_peel(size=size, num_layers=layers, triangles=triangles, rounds=rounds))
+    show(bench_peel(size=size, num_layers=layers, subdivisions=subdivisions, rounds=rounds))
 
 
 def truth(
     scene: str = "glass_table",
-    light: Literal["soft", "scene", "lamp"] = "soft",
+    light: Literal["soft", "scene"] = "soft",
     size: int = 128,
     rounds: int = 7,
 ) -> None:
@@ -70,8 +70,7 @@ def truth(
     Args:
         scene: A name that `datagen scenes` lists, or a folder with a scene.json; its glass is made clear,
             and drinks and what else has a priority are left out.
-        light: An even sky, the scene's own lights, or a small lamp in a dim sky, which throws caustics; under the lamp,
-            noise need only allow 40 dB.
+        light: An even sky, or the scene's own lights.
         size: Width and height in pixels.
         rounds: Turns of each.
     """
@@ -79,7 +78,7 @@ def truth(
 
     use_mitsuba()
     from benchmarks.harness import show
-    from benchmarks.truth import GOALS, bench_truth, under_a_lamp, under_soft_light
+    from benchmarks.truth import GOAL, bench_truth, under_soft_light
     from datagen.data.config import DatasetConfig, square
     from datagen.scene.finding import find_scene
     from datagen.scene.rig import make_cameras
@@ -87,11 +86,9 @@ def truth(
     description = find_scene(scene)
     if light == "soft":
         description = under_soft_light(description)
-    elif light == "lamp":
-        description = under_a_lamp(description)
     config = DatasetConfig.even(description.name, square(size), 4)
     cameras = make_cameras(description.cameras, config)["train"]
-    show(bench_truth(description, cameras, GOALS[light], rounds=rounds))
+    show(bench_truth(description, cameras, GOAL, rounds=rounds))
 
 
 def cycles(
@@ -153,9 +150,9 @@ def cycles(
 def step(choices: BenchChoices) -> None:
     """A training step on a CPU: whole, its phases, its texture part."""
     from benchmarks.harness import show
-    from benchmarks.step import all_ceilings, bench_step
+    from benchmarks.step import bench_step
 
-    show(bench_step(choices, ceilings=all_ceilings()))
+    show(bench_step(choices))
 
 
 def gpu(choices: BenchChoices) -> None:

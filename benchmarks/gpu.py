@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from benchmarks.choices import BenchChoices
-from benchmarks.harness import BenchReport, Candidate, Ceiling, Check, Gate, best_seconds, measure
+from benchmarks.harness import BenchReport, Candidate, Check, Gate, measure
 from benchmarks.naive import NaiveRenderer, describe, made_up_batch, make_renderer, relative_error
 from datagen.builder.synthetic import synthetic_scene, write_synthetic_dataset
 from datagen.data.paths import TRUTH
@@ -29,21 +29,6 @@ GPU_GATE = 5.0
 """Least ratio of a step. 20 was hoped for before a GPU was at hand; an H100 reached 7.5 (docs/notes/speed.md)."""
 
 GPU_TOLERANCE = 1e-4
-
-
-def gpu_ceilings() -> tuple[Ceiling, Ceiling]:
-    """The GPU's best speed: matrix products, and copying."""
-    size = 4096
-    a, b = torch.randn(2, size, size, device="cuda")
-    out = torch.empty_like(a)
-    flops = 2 * size**3 / best_seconds(synchronised(lambda: torch.mm(a, b, out=out)))
-    source = torch.ones(1 << 28, device="cuda")  # 1 GiB, beyond every cache.
-    target = torch.empty_like(source)
-    copied = 2 * source.nbytes / best_seconds(synchronised(lambda: target.copy_(source)))
-    return (
-        Ceiling(name="matrix product", value=1e-12 * flops, unit="TFLOP/s"),
-        Ceiling(name="copy, bytes read and written", value=1e-9 * copied, unit="GB/s"),
-    )
 
 
 def synchronised(run: Callable[[], object]) -> Callable[[], None]:
@@ -114,7 +99,6 @@ def bench_gpu(choices: BenchChoices, *, seed: int = 0, frame: int = FRAME, step:
         ],
         checks=[Check(name="same colours", run=compare)],
         gates=[Gate(name="whole step", baseline="naive step", candidate="step", at_least=GPU_GATE)],
-        ceilings=gpu_ceilings(),
         settings={"frame": frame, "step": step, **describe(choices, renderer)},
         facts={"gpu": torch.cuda.get_device_name(), "TF32": "off for both", "Mitsuba": choose_variant().variant},
         rounds=choices.rounds,

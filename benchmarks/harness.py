@@ -6,9 +6,9 @@ A bench names its candidates, its checks and its gates; `measure` runs them and 
 2. Each candidate is called twice to warm up; the very first call, with whatever it compiles, is reported apart.
 3. The candidates take turns (A B C A B C ...), so that other load on the machine affects all of them equally.
 4. A gate compares two candidates round by round and passes when the median ratio is large enough. No gate is on
-   seconds, which say more about the machine than about the code; what the machine can do at best stands beside them.
+   seconds, which say more about the machine than about the code.
 
-Imports neither Mitsuba nor torch: further ceilings are passed in.
+Imports neither Mitsuba nor torch.
 """
 
 import gc
@@ -62,15 +62,6 @@ class Gate:
     baseline: str
     candidate: str
     at_least: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class Ceiling:
-    """The machine's best speed at one operation, for any program."""
-
-    name: str
-    value: float
-    unit: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,7 +121,6 @@ class BenchReport:
     facts: dict[str, object]
     """Counts and estimates besides the times."""
     machine: Machine
-    ceilings: tuple[Ceiling, ...]
     checks: tuple[Verdict, ...]
     timings: tuple[Timing, ...]
     """In the order of the candidates; empty where a check failed."""
@@ -147,7 +137,6 @@ def measure(
     *,
     checks: Sequence[Check] = (),
     gates: Sequence[Gate] = (),
-    ceilings: Sequence[Ceiling] = (),
     settings: Mapping[str, object] | None = None,
     facts: Mapping[str, object] | None = None,
     rounds: int = 7,
@@ -155,7 +144,6 @@ def measure(
     """Runs the checks, times the candidates in turns, and evaluates the gates.
 
     Args:
-        ceilings: usually `machine_ceilings()` and the caller's own.
         rounds: turns of every candidate, warm-up apart.
     """
     if rounds < MIN_ROUNDS:
@@ -183,7 +171,6 @@ def measure(
         settings={**(settings or {}), "rounds": rounds},
         facts=dict(facts or {}),
         machine=describe_machine(),
-        ceilings=tuple(ceilings),
         checks=tuple(checked),
         timings=timings,
         gates=judged,
@@ -196,14 +183,6 @@ def show(report: BenchReport) -> None:
     if not report.passed:
         failed = [verdict for verdict in report.checks + report.gates if not verdict.passed]
         fail("; ".join(f"{report.title}: {verdict.name}: {verdict.detail}" for verdict in failed))
-
-
-def machine_ceilings() -> tuple[Ceiling, ...]:
-    """Matrix product of all cores and copy of one, each the best of a few tries."""
-    return (
-        Ceiling(name="float32 matrix product, all cores", value=_matmul_gflops(), unit="GFLOP/s"),
-        Ceiling(name="copy, one core, bytes read and written", value=_copy_gigabytes(), unit="GB/s"),
-    )
 
 
 def describe_machine() -> Machine:
@@ -222,17 +201,6 @@ def describe_machine() -> Machine:
         if (loaded := sys.modules.get(library)) is not None:
             threads[library] = str(getattr(loaded, ask)())
     return Machine(cpu=_cpu_name(), cores=num_cores(), threads=threads, python=platform.python_version())
-
-
-def best_seconds(run: Callable[[], object], *, tries: int = 5) -> float:
-    """The shortest of a few calls after one to warm up: for ceilings, not for candidates."""
-    run()
-    times = []
-    for _ in range(tries):
-        start = time.perf_counter()
-        run()
-        times.append(time.perf_counter() - start)
-    return min(times)
 
 
 def _time_by_turns(title: str, candidates: Sequence[Candidate], rounds: int) -> tuple[list[np.ndarray], ...]:
@@ -309,11 +277,6 @@ def _print_tables(report: BenchReport) -> None:
             wall, cpu, first = (f"{1e3 * value:.2f}" for value in numbers)
             table.add_row(one.name, wall, spread, cpu, first, one.note)
         console.print(table)
-    if report.ceilings:
-        ceilings = Table("the machine at its best", "", "")
-        for ceiling in report.ceilings:
-            ceilings.add_row(ceiling.name, f"{ceiling.value:.1f}", ceiling.unit)
-        console.print(ceilings)
     for kind, verdicts in (("check", report.checks), ("gate", report.gates)):
         for verdict in verdicts:
             word = "passed" if verdict.passed else "FAILED"
@@ -327,16 +290,3 @@ def _cpu_name() -> str:
             if line.startswith("model name"):
                 return line.partition(":")[2].strip()
     return platform.processor() or platform.machine()
-
-
-def _matmul_gflops() -> float:
-    size = 1536
-    a, b = np.random.default_rng(0).random((2, size, size), np.float32)
-    out = np.empty((size, size), np.float32)
-    return 2 * size**3 / best_seconds(lambda: np.matmul(a, b, out=out)) * 1e-9
-
-
-def _copy_gigabytes() -> float:
-    source = np.ones(1 << 25, np.float32)  # 128 MiB, beyond the caches.
-    target = np.zeros_like(source)
-    return 2 * source.nbytes / best_seconds(lambda: np.copyto(target, source)) * 1e-9

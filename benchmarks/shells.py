@@ -3,45 +3,43 @@
 import math
 
 import numpy as np
-from jaxtyping import Float
 
 from datagen.data.cameras import Cameras, look_at
 from datagen.data.meshes import Mesh
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, ThinDielectric
+from datagen.scene.modelling import ball, transformed, tube
 
-NUM_TRIANGLES = 315_000
-"""Default triangles of all objects together."""
+SHELLS = 1.0, 0.93
+"""Radii of the spheres around all else, each with a quarter of the triangles."""
 
-NUM_OBJECTS = 11
-
-SHELLS = 2
-"""Spheres around all else, each with a quarter of the triangles; what is within has the rest."""
+INNER = 9
+"""Objects within them."""
 
 
-def make_shells(num_triangles: int = NUM_TRIANGLES, num_objects: int = NUM_OBJECTS) -> tuple[Mesh, ...]:
-    """Two concentric spheres around ellipsoids and rings that overlap; all closed, the same ones every time."""
-    assert num_objects > SHELLS
+def make_shells(subdivisions: int = 6) -> tuple[Mesh, ...]:
+    """Two concentric spheres around ellipsoids and rings that overlap; all closed, the same ones every time.
+
+    Args:
+        subdivisions: of the shells; four times the triangles for each. By default all together have 350,000.
+    """
     rng = np.random.default_rng(0)
-    meshes = [_surface(num_triangles // 4, radii=np.full(3, radius), ring=0.0) for radius in (1.0, 0.93)]
-    inner = num_objects - SHELLS
-    # As many objects as there are, together they fill about the same part of the view.
-    size = (9 / inner) ** (1 / 3)
-    for index in range(inner):
-        radii = size * rng.uniform(0.1, 0.3, 3)
-        ring = size * 0.25 if index % 3 == 0 else 0.0
-        mesh = _surface(num_triangles // (2 * inner), radii=0.3 * radii if ring else radii, ring=ring)
+    meshes = [ball(radius, subdivisions=subdivisions) for radius in SHELLS]
+    segments = 2**subdivisions
+    angles = np.arange(5 * segments // 2) * (2 * np.pi / (5 * segments // 2))
+    circle = np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=-1)
+    for index in range(INNER):
+        radii = rng.uniform(0.1, 0.3, 3)
         way = rng.normal(size=3)
         offset = rng.uniform(0, 0.5) * way / np.linalg.norm(way)
         turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
         turn *= np.sign(np.linalg.det(turn))
-        meshes.append(
-            Mesh(
-                vertices=(mesh.vertices @ turn.T + offset).astype(np.float32),
-                faces=mesh.faces,
-                normals=(mesh.normals @ turn.T).astype(np.float32),
-                uv=mesh.uv,
-            )
+        is_ring = index % 3 == 0
+        inner = (
+            tube(0.25 * circle, 0.3 * radii[0], segments=segments, is_loop=True)
+            if is_ring
+            else ball(1.0, subdivisions=subdivisions - 1)
         )
+        meshes.append(transformed(inner, turn if is_ring else turn @ np.diag(radii), offset.tolist()))
     return tuple(meshes)
 
 
@@ -54,7 +52,7 @@ def materials_of(meshes: tuple[Mesh, ...]) -> tuple[Material, ...]:
         Plastic(color=grey, ior=1.5, roughness=0.1),
         ThinDielectric(ior=1.5),
     )
-    inner = (kinds[index % len(kinds)] for index in range(len(meshes) - SHELLS))
+    inner = (kinds[index % len(kinds)] for index in range(len(meshes) - len(SHELLS)))
     return (Dielectric(ior=1.5), ThinDielectric(ior=1.5), *inner)
 
 
@@ -67,38 +65,3 @@ def random_cameras(count: int, size: int) -> Cameras:
         position = rng.uniform(2.3, 2.7) * way / np.linalg.norm(way)
         poses.append(look_at(position, rng.uniform(-0.3, 0.3, 3)))
     return Cameras(world_from_camera=np.stack(poses), fov_x=math.radians(50), width=size, height=size)
-
-
-def _surface(num_triangles: int, *, radii: Float[np.ndarray, "3"], ring: float) -> Mesh:
-    """An ellipsoid, or a ring of radius `ring` with that cross-section: a grid that closes upon itself, with a seam."""
-    rows = max(3, round(math.sqrt(num_triangles / 4)))
-    columns = 2 * rows
-    around = np.arange(columns + 1) % columns * (2 * np.pi / columns)  # The seam's two sides are equal to the last bit.
-    index = np.arange(rows + 1)
-    down = index % rows * (2 * np.pi / rows) if ring else index * (np.pi / rows)
-    sine, cosine = np.sin(down)[:, None], np.cos(down)[:, None]
-    if not ring:
-        sine[[0, -1]] = 0.0  # All points of a pole are one.
-    side, up = np.cos(around)[None], np.sin(around)[None]
-    unit = np.stack(np.broadcast_arrays(sine * side, sine * up, cosine), axis=-1).reshape(-1, 3)
-    hub = np.stack(np.broadcast_arrays(side + 0 * sine, up + 0 * sine, 0 * sine), axis=-1).reshape(-1, 3) * ring
-    scale = np.array([radii[0], radii[0], radii[2]]) if ring else radii
-    normals = unit / scale
-    faces = _grid(rows, columns, has_poles=not ring)
-    uv = np.stack(np.broadcast_arrays(np.linspace(0, 1, columns + 1)[None], np.linspace(0, 1, rows + 1)[:, None]), -1)
-    return Mesh(
-        vertices=(hub + unit * scale).astype(np.float32),
-        faces=faces.astype(np.int32),
-        normals=(normals / np.linalg.norm(normals, axis=-1, keepdims=True)).astype(np.float32),
-        uv=uv.reshape(-1, 2).astype(np.float32),
-    )
-
-
-def _grid(rows: int, columns: int, *, has_poles: bool) -> np.ndarray:
-    """Two triangles a cell, one where a side has shrunk to a pole."""
-    index = np.arange((rows + 1) * (columns + 1)).reshape(rows + 1, columns + 1)
-    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
-    lower, upper = np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)
-    if has_poles:
-        lower, upper = lower[:-1], upper[1:]
-    return np.concatenate([lower.reshape(-1, 3), upper.reshape(-1, 3)])

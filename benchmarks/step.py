@@ -1,8 +1,8 @@
-"""Benchmark of a training step on a CPU beside the naive baseline; ceilings."""
+"""Benchmark of a training step on a CPU beside the naive baseline."""
 
 import itertools
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 import torch
@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from benchmarks.choices import BenchChoices
-from benchmarks.harness import BenchReport, Candidate, Ceiling, Check, Gate, best_seconds, machine_ceilings, measure
+from benchmarks.harness import BenchReport, Candidate, Check, Gate, measure
 from benchmarks.naive import (
     NaiveRenderer,
     describe,
@@ -190,7 +190,7 @@ def bench_cameras(scene: Scene) -> Cameras:
     return make_cameras(scene.cameras, DatasetConfig.even(scene.name, square(128), 16))["train"]
 
 
-def bench_step(choices: BenchChoices, *, ceilings: Sequence[Ceiling] = (), seed: int = 0) -> BenchReport:
+def bench_step(choices: BenchChoices, *, seed: int = 0) -> BenchReport:
     """Times training steps."""
     keep_freed_memory()
     rng = np.random.default_rng(seed)
@@ -226,7 +226,6 @@ def bench_step(choices: BenchChoices, *, ceilings: Sequence[Ceiling] = (), seed:
             Gate(name="whole step", baseline="naive step", candidate="step", at_least=GATE_STEP),
             Gate(name="texture part", baseline="naive textures", candidate="textures", at_least=GATE_TEXTURES),
         ],
-        ceilings=ceilings,
         settings={"pixels": choices.pixels, **describe(choices, renderer)},
         facts={"places with a surface": f"{float((rays.object_id != 0).float().mean()):.0%}"},
         rounds=choices.rounds,
@@ -234,18 +233,3 @@ def bench_step(choices: BenchChoices, *, ceilings: Sequence[Ceiling] = (), seed:
     if report.timings:
         report.facts.update({"phases, naive": theirs.phases(), "phases": ours.phases()})
     return report
-
-
-def all_ceilings() -> tuple[Ceiling, ...]:
-    """Those that any bench prints, and torch's matrix products."""
-    return (
-        *machine_ceilings(),
-        Ceiling(name="matrix product, torch, all cores", value=_product(), unit="GFLOP/s"),
-    )
-
-
-@torch.inference_mode()
-def _product() -> float:
-    size = 1536
-    a, b = torch.ones(2, size, size)
-    return 2 * size**3 / best_seconds(lambda: a @ b) * 1e-9

@@ -2,11 +2,6 @@
 
 Noise is estimated from independent renderings at two numbers of samples, and a power law through both tells how many
 samples a ceiling takes: it is steeper than 1 / n where samples are stratified. Time per sample is measured by turns.
-
-Under a small lamp most noise is in rare bright pixels, many of which no picture has met yet, so that noise hardly falls
-from one number to the other, and means do not agree yet. There the law is 1 / n through the noise at the larger number,
-and means are not compared; `tests/datagen/render` shows that ours is unbiased. Mitsuba's defaults look better than
-they are, because caustics that they have not found yet do not count as noise.
 """
 
 # Mitsuba's stubs describe no variant: what is a number in one is an array in another.
@@ -15,23 +10,20 @@ they are, because caustics that they have not found yet do not count as noise.
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float
 
-from benchmarks.harness import BenchReport, Candidate, Check, Gate, machine_ceilings, measure
+from benchmarks.harness import BenchReport, Candidate, Check, Gate, measure
 from datagen.data.cameras import Cameras
 from datagen.data.images import srgb_from_linear
-from datagen.disk.errors import HyalineError
 from datagen.render.mitsuba_scene import load_scene_mitsuba, load_sensor
 from datagen.render.truth import Renderer, derive_seed
-from datagen.scene.description import CameraRig, EnvironmentMap, RectangleLight, Scene, SoftEnvironment, image_bytes
+from datagen.scene.description import EnvironmentMap, Scene, SoftEnvironment, image_bytes
 from datagen.scene.images import read_map
 from datagen.scene.materials import Dielectric
 from datagen.terminal.command import say
-
-Light = Literal["soft", "scene", "lamp"]
 
 DEFAULT_RR_DEPTH = 5
 """Mitsuba's: from this depth on paths end at random."""
@@ -47,11 +39,6 @@ MIN_AGREEMENT = 0.8, 1.25
 
 OURS, DEFAULTS = "datagen build", "mitsuba's defaults"
 
-LAMP_WIDTH, LAMP_HEIGHT = 0.05, 1.0
-"""In metres: side of the square lamp, and its height above the point that the cameras look at."""
-LAMP_RADIANCE, DIM = 600.0, 0.1
-"""Radiance of the lamp (an irradiance of 1.5 directly below it), and the factor that dims the sky."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Goal:
@@ -63,15 +50,9 @@ class Goal:
     low_spp: int = 16
     high_spp: int = 64
     """Where noise is estimated."""
-    exponent: float | None = None
-    """Exponent of the noise law; None: fitted to both numbers of samples."""
 
 
-GOALS: dict[Light, Goal] = {
-    "soft": Goal(ceiling_db=45, at_least=5),
-    "scene": Goal(ceiling_db=45, at_least=5),
-    "lamp": Goal(ceiling_db=40, at_least=3, low_spp=64, high_spp=256, exponent=1),
-}
+GOAL = Goal(ceiling_db=45, at_least=5)
 
 
 class Radiance(Protocol):
@@ -137,9 +118,8 @@ def bench_truth(
     report = measure(
         "bench truth",
         candidates,
-        checks=checks if goal.exponent is None else (),
+        checks=checks,
         gates=[Gate(name="time to the ceiling", baseline=DEFAULTS, candidate=OURS, at_least=goal.at_least)],
-        ceilings=machine_ceilings(),
         settings={"scene": scene.name, "size": cameras.width, "depth": max_depth},
         facts=facts,
         rounds=rounds,
@@ -197,30 +177,6 @@ def under_soft_light(scene: Scene) -> Scene:
     return dataclasses.replace(scene, environment=SoftEnvironment(zenith=sky, horizon=sky, ground=sky), lights=())
 
 
-def under_a_lamp(scene: Scene) -> Scene:
-    """The scene in a dim even sky under a square lamp of 5 cm, a metre above what its cameras look at.
-
-    Raises:
-        HyalineError: the scene lists its cameras, which look at nothing in particular.
-    """
-    if not isinstance(scene.cameras, CameraRig):
-        raise HyalineError(
-            f"--light lamp: {scene.name} lists its cameras; the lamp hangs above what a camera rig looks at"
-        )
-    soft = under_soft_light(scene)
-    assert isinstance(soft.environment, SoftEnvironment)
-    red, green, blue = (DIM * value for value in soft.environment.horizon)
-    sky = SoftEnvironment(zenith=(red, green, blue), horizon=(red, green, blue), ground=(red, green, blue))
-    x, y, z = scene.cameras.target
-    lamp = RectangleLight(
-        corner=(x - LAMP_WIDTH / 2, y + LAMP_WIDTH / 2, z + LAMP_HEIGHT),
-        edge_u=(LAMP_WIDTH, 0, 0),
-        edge_v=(0, -LAMP_WIDTH, 0),
-        radiance=(LAMP_RADIANCE,) * 3,
-    )
-    return dataclasses.replace(soft, environment=sky, lights=(lamp,))
-
-
 def noise_mse(radiance: Radiance, spp: int) -> tuple[float, int]:
     """Mean squared error of the clipped sRGB picture at this number of samples, and the actual number."""
     errors, drawn = [], spp
@@ -232,12 +188,9 @@ def noise_mse(radiance: Radiance, spp: int) -> tuple[float, int]:
 
 
 def fit_noise(radiance: Radiance, goal: Goal) -> NoiseLaw:
-    """The power law through the noise at two numbers of samples, or of a given exponent through that at the larger."""
-    high, high_drawn = noise_mse(radiance, goal.high_spp)
-    exponent = goal.exponent
-    if exponent is None:
-        low, low_drawn = noise_mse(radiance, goal.low_spp)
-        exponent = math.log(low / high) / math.log(high_drawn / low_drawn)
+    """The power law through the noise at two numbers of samples."""
+    (low, low_drawn), (high, high_drawn) = (noise_mse(radiance, spp) for spp in (goal.low_spp, goal.high_spp))
+    exponent = math.log(low / high) / math.log(high_drawn / low_drawn)
     return NoiseLaw(scale=high * high_drawn**exponent, exponent=exponent)
 
 

@@ -4,7 +4,8 @@
     blender/bin/python examples/capture_in_blender.py FOLDER [VIEWS] [PIXELS] [SAMPLES]
 
 writes images/, masks/OBJECT/, transforms.json with the true cameras, and truth/ with all meshes and transforms.json.
-Remove transforms.json, and `datagen capture` has to find the cameras, too. Nothing of hyaline is used.
+Remove transforms.json, and `datagen capture` has to find the cameras, too. Of hyaline only
+`benchmarks/blender_child.py` is used, which sets Cycles up.
 """
 
 # pyright: reportMissingImports=false
@@ -20,6 +21,9 @@ try:
     import bpy
     import numpy as np
     from mathutils import Matrix, Vector
+
+    sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+    from blender_child import add_camera, make_material, set_cycles
 except ModuleNotFoundError as error:
     if not {"-h", "--help"} & {*sys.argv}:
         sys.exit(f"error: {error}; run this script in an environment with `pip install bpy`")
@@ -102,16 +106,7 @@ def slab(name: str, size: tuple, center: tuple, *, seed: int, turn: float = 0.0)
         for loop in face.loop_indices:
             place = item.data.vertices[item.data.loops[loop].vertex_index].co
             layer.data[loop].uv = [(place[i] - center[i]) / max(size) + 0.5 for i in across]
-    material = bpy.data.materials.new(name)
-    material.use_nodes = True
-    nodes, links = material.node_tree.nodes, material.node_tree.links
-    nodes.clear()
-    kinds = ("ShaderNodeTexImage", "ShaderNodeBsdfDiffuse", "ShaderNodeOutputMaterial")
-    texture, diffuse, output = (nodes.new(kind) for kind in kinds)
-    texture.image = picture(name, seed)
-    links.new(texture.outputs["Color"], diffuse.inputs["Color"])
-    links.new(diffuse.outputs["BSDF"], output.inputs["Surface"])
-    item.data.materials.append(material)
+    item.data.materials.append(make_material(bpy, "ShaderNodeBsdfDiffuse", {}, picture(name, seed)))
 
 
 def picture(name: str, seed: int, side: int = 512) -> "bpy.types.Image":
@@ -149,14 +144,7 @@ def lathe(name: str, profile: list, place: tuple, *, is_smooth: bool = False, se
     mesh.from_pydata(vertices, [], faces)
     if is_smooth:
         mesh.shade_smooth()
-    material = bpy.data.materials.new(name)
-    material.use_nodes = True
-    nodes, links = material.node_tree.nodes, material.node_tree.links
-    nodes.clear()
-    glass, output = nodes.new("ShaderNodeBsdfGlass"), nodes.new("ShaderNodeOutputMaterial")
-    glass.inputs["IOR"].default_value, glass.inputs["Roughness"].default_value = GLASS[name], 0
-    links.new(glass.outputs["BSDF"], output.inputs["Surface"])
-    mesh.materials.append(material)
+    mesh.materials.append(make_material(bpy, "ShaderNodeBsdfGlass", {"IOR": GLASS[name], "Roughness": 0}))
     bpy.context.scene.collection.objects.link(bpy.data.objects.new(name, mesh))
 
 
@@ -181,21 +169,12 @@ def world_from_camera(view: int, views: int) -> "Matrix":
 
 def make_camera(pixels: int) -> "bpy.types.Object":
     scene = bpy.context.scene
-    scene.render.engine = "CYCLES"
-    scene.render.resolution_x = scene.render.resolution_y = pixels
-    scene.render.resolution_percentage = 100
-    scene.render.image_settings.file_format = "PNG"
+    set_cycles(bpy, {"width": pixels, "height": pixels, "spp": 1, "max_depth": 24})
+    scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "PNG", "8"
     scene.view_settings.view_transform = "Standard"
-    scene.cycles.max_bounces = scene.cycles.transmission_bounces = 24
-    scene.cycles.use_denoising = False
-    scene.cycles.pixel_filter_type = "BOX"
+    scene.cycles.sample_clamp_indirect, scene.cycles.blur_glossy = 10.0, 1.0  # As Blender has them, against fireflies.
     scene.render.use_persistent_data = True
-    lens = bpy.data.cameras.new("camera")
-    lens.sensor_fit, lens.angle = "HORIZONTAL", math.radians(42)
-    camera = bpy.data.objects.new("camera", lens)
-    scene.collection.objects.link(camera)
-    scene.camera = camera
-    return camera
+    return add_camera(bpy, {"fov_x": math.radians(42)})
 
 
 def draw(path: Path, *, samples: int) -> None:
@@ -212,7 +191,8 @@ def write_masks(root: Path, camera: "bpy.types.Object", frames: list) -> None:
     for name in GLASS:
         for item in [item for item in bpy.data.objects if item.type == "MESH"]:
             item.data.materials.clear()
-            item.data.materials.append(shining(f"mask {item.name == name}", float(item.name == name)))
+            shines = {"Strength": float(item.name == name)}
+            item.data.materials.append(make_material(bpy, "ShaderNodeEmission", shines))
         for frame in frames:
             camera.matrix_world = Matrix(frame["transform_matrix"])
             path = root / "masks" / name / Path(frame["file_path"]).name
@@ -223,19 +203,6 @@ def write_masks(root: Path, camera: "bpy.types.Object", frames: list) -> None:
             image.pixels.foreach_set(pixels.ravel().astype(np.float32))
             image.save()
             bpy.data.images.remove(image)
-
-
-def shining(name: str, strength: float) -> "bpy.types.Material":
-    if (found := bpy.data.materials.get(name)) is not None:
-        return found
-    material = bpy.data.materials.new(name)
-    material.use_nodes = True
-    nodes, links = material.node_tree.nodes, material.node_tree.links
-    nodes.clear()
-    light, output = nodes.new("ShaderNodeEmission"), nodes.new("ShaderNodeOutputMaterial")
-    light.inputs["Strength"].default_value = strength
-    links.new(light.outputs["Emission"], output.inputs["Surface"])
-    return material
 
 
 if __name__ == "__main__":

@@ -5,7 +5,6 @@ import torch
 from support.pretend_cuda import pretended_cuda
 
 from benchmarks.choices import BenchChoices
-from benchmarks.harness import Ceiling
 from benchmarks.step import bench_step
 from datagen.machine.mitsuba_variant import use_mitsuba
 
@@ -23,8 +22,6 @@ def test_the_benchmark_of_gpus_runs_on_a_pretended_one(monkeypatch: pytest.Monke
     use_mitsuba()
     from benchmarks import gpu
 
-    best = tuple(Ceiling(name=unit, value=1.0, unit=unit) for unit in ("TFLOP/s", "GB/s"))
-    monkeypatch.setattr(gpu, "gpu_ceilings", lambda: best)
     monkeypatch.setattr(gpu, "SIZE", 16)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "synchronize", lambda: None)

@@ -173,7 +173,7 @@ class ViewRecord:
     noise_mse: float | None = None
     """Estimated mean squared error of the clipped sRGB image against its limit for infinitely many samples."""
     variant: str | None = None
-    """The Mitsuba variant that rendered it."""
+    """What rendered it: a variant of Mitsuba, or another renderer by name."""
     files: dict[str, str]
     """SHA-256 by path, relative to the dataset."""
 

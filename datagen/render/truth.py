@@ -91,7 +91,7 @@ def render_view(
                 halves[half] += image.astype(np.float64) * count
             drawn += 2 * count
             passes += 1
-        truth = _truth(halves[0] * (2 / drawn), halves[1] * (2 / drawn), drawn)
+        truth = truth_of_halves(halves[0] * (2 / drawn), halves[1] * (2 / drawn), drawn)
         reached = -10 * math.log10(truth.noise_mse + ROUNDING_MSE)
         if ceiling_db is None or reached >= ceiling_db:
             return truth
@@ -105,8 +105,7 @@ def render_view(
 
 def derive_seed(*parts: object) -> int:
     """A 32-bit seed that depends on exactly these parts."""
-    digest = hashlib.sha256("|".join(map(str, parts)).encode()).digest()
-    return int.from_bytes(digest[:4], "little")
+    return int.from_bytes(hashlib.sha256("|".join(map(str, parts)).encode()).digest()[:4], "little")
 
 
 def truth_files(truth: Truth) -> dict[str, bytes]:
@@ -115,7 +114,8 @@ def truth_files(truth: Truth) -> dict[str, bytes]:
     return {".png": picture, ".exr": encode_exr(truth.radiance, truth.half_difference)}
 
 
-def _truth(first: Float[np.ndarray, "h w 3"], second: Float[np.ndarray, "h w 3"], spp: int) -> Truth:
+def truth_of_halves(first: Float[np.ndarray, "h w 3"], second: Float[np.ndarray, "h w 3"], spp: int) -> Truth:
+    """The mean of two independent linear pictures of a view, and the noise that is left in it."""
     if not (np.isfinite(first).all() and np.isfinite(second).all()):
         bad = np.argwhere(~np.isfinite(first + second))[0]
         raise HyalineError(
