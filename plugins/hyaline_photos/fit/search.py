@@ -6,7 +6,7 @@ the index is found better by a parabola over a wide bracket.
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,8 +53,10 @@ FILLED_WALLS, FILLED_CORNER, LEVELS = (0.05, 0.12), 0.3, (0.3, 0.6, 0.8, 0.95)
 """The same of vessels that hold a drink, whose walls bend light little; levels in parts of the hollow's height."""
 USUAL = (USUAL_WALL, 0.15, 0.3)
 """A usual vessel: wall, floor and corner in the same units."""
-LAST = 5
+LAST = 4
 """Number of the last round."""
+FAR = tuple(np.exp(np.linspace(-0.7, 0.7, 8)).tolist())
+"""Factors on walls and floors, which are tried in the last round to see how far away others explain as well."""
 INDEX_HELD = 2
 """Number of rounds before a vessel's index is searched: while walls are wrong, a wrong index explains pictures best."""
 SHRINKS = 0.55
@@ -74,6 +76,8 @@ class Found:
     """The value that the round before found; in the last stage, with other textures."""
     curve: tuple[tuple[float, float], ...] = ()
     """The values that were tried, each with its mean penalty."""
+    as_good: tuple[float, ...] = ()
+    """Values far away that explain pictures as well if others change, too."""
 
 
 def find_material(glass: Glass, misses: Misses, is_even: Bool[np.ndarray, " pixel"]) -> Glass:
@@ -330,9 +334,31 @@ def refine(
         for channel, found in zip(CHANNELS, channels, strict=True):
             yield glass, f"{name}_{channel}", found
     held = {"ior"} if number < INDEX_HELD and glass.hollow else set()
+    numbers: dict[str, Found] = {}
     for name in [name for name in NUMBERS if name in glass.numbers and name not in held]:
-        glass, found = find_number(glass, name, reach_of(name, number), misses, is_even)
+        glass, numbers[name] = find_number(glass, name, reach_of(name, number), misses, is_even)
+    if number == LAST and glass.hollow:
+        numbers |= far_away(glass, numbers, misses)
+    for name, found in numbers.items():
         yield glass, name, found
+
+
+def far_away(glass: Glass, found: Mapping[str, Found], misses: Misses) -> dict[str, Found]:
+    """Adds walls and floors that explain pictures as well, far from those of a vessel.
+
+    One number after the other does not get there: a lower floor needs another corner, and a thicker wall one that is
+    thinner at the rim, whose thickness pictures show.
+    """
+    now, added = glass.numbers, {}
+    walls = [{"wall": now["wall"] * factor, "taper": now["taper"] / factor} for factor in FAR]
+    floors = [{"floor": now["floor"] * factor, "corner": each} for factor, each in itertools.product(FAR, CORNERS)]
+    for tried in (walls, floors):
+        _, (least, *losses) = zip(*scan([glass, *(glass.having(**each) for each in tried)], misses), strict=True)
+        limit = (1 + WORTH_IT) * min(least, *losses)
+        as_good = [each for each, loss in zip(tried, losses, strict=True) if loss <= limit]
+        for name in tried[0]:
+            added[name] = dataclasses.replace(found[name], as_good=tuple(each[name] for each in as_good))
+    return added
 
 
 def reach_of(name: str, number: int) -> float:
