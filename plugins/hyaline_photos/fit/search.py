@@ -129,7 +129,7 @@ def best_of(glasses: Sequence[Glass], misses: Misses) -> Glass:
 
 def find_absorption(
     glass: Glass, name: str, misses: Misses, is_even: Bool[np.ndarray, " pixel"]
-) -> tuple[Glass, tuple[Found, Found, Found]]:
+) -> tuple[Glass, tuple[Found, ...]]:
     """Searches the absorption of all colour channels at once: each is judged by its own channel of the pictures.
 
     Args:
@@ -151,11 +151,11 @@ def find_absorption(
     if not (losses.min(axis=0) < (1 - WORTH_IT) * losses[0]).any():
         estimates = np.zeros((3, 3))
     channels = zip(estimates.T.tolist(), values.T, losses.T, strict=True)
-    found = [
+    found = tuple(
         Found(value=v, even=e, odd=o, curve=tuple(zip(tried.tolist(), each.tolist())))
         for (v, e, o), tried, each in channels
-    ]
-    return dataclasses.replace(glass, **{name: as_vector(estimates[0])}), (found[0], found[1], found[2])
+    )
+    return dataclasses.replace(glass, **{name: as_vector(estimates[0])}), found
 
 
 def _lowest_positive(values: Float[np.ndarray, " value"], losses: Float[np.ndarray, " value"]) -> float:
@@ -325,7 +325,7 @@ def refine(
         number: of the round; brackets narrow from round to round.
 
     Yields:
-        The glass after each search, the name of the number, and what was found.
+        The glass after the search, the name of the number, and what was found.
     """
     if "roughness" in glass.numbers:
         glass = smoothed(glass, misses)
@@ -344,11 +344,8 @@ def refine(
 
 
 def far_away(glass: Glass, found: Mapping[str, Found], misses: Misses) -> dict[str, Found]:
-    """Adds walls and floors that explain pictures as well, far from those of a vessel.
-
-    One number after the other does not get there: a lower floor needs another corner, and a thicker wall one that is
-    thinner at the rim, whose thickness pictures show.
-    """
+    """Adds walls and floors far from those of a vessel that explain pictures as well: a lower floor may need another
+    corner, and a thicker wall has to stay as thick at the rim, which pictures show."""
     now, added = glass.numbers, {}
     walls = [{"wall": now["wall"] * factor, "taper": now["taper"] / factor} for factor in FAR]
     floors = [{"floor": now["floor"] * factor, "corner": each} for factor, each in itertools.product(FAR, CORNERS)]
