@@ -109,10 +109,9 @@ def find_roughness(glass: Glass, misses: Misses) -> Glass:
     if "roughness" not in found.numbers or found.hollow:
         return found
     pairs = itertools.product(INDICES, ROUGHNESSES)
-    tried = [glass.having(ior=ior, roughness=roughness) for ior, roughness in pairs]
-    losses = [float(misses(each).mean()) for each in tried]
-    as_good = [(each, loss) for each, loss in zip(tried, losses, strict=True) if loss <= (1 + AS_USUAL) * min(losses)]
-    return min(as_good, key=lambda each: (abs(each[0].numbers["ior"] - USUAL_INDEX), each[1]))[0]
+    cells = list(scan([glass.having(ior=ior, roughness=roughness) for ior, roughness in pairs], misses))
+    as_good = [cell for cell in cells if cell[1] <= (1 + AS_USUAL) * min(loss for _, loss in cells)]
+    return min(as_good, key=lambda cell: (abs(cell[0].numbers["ior"] - USUAL_INDEX), cell[1]))[0]
 
 
 def smoothed(frosted: Glass, misses: Misses) -> Glass:
@@ -350,9 +349,8 @@ def far_away(glass: Glass, found: Mapping[str, Found], misses: Misses) -> dict[s
     walls = [{"wall": now["wall"] * factor, "taper": now["taper"] / factor} for factor in FAR]
     floors = [{"floor": now["floor"] * factor, "corner": each} for factor, each in itertools.product(FAR, CORNERS)]
     for tried in (walls, floors):
-        _, (least, *losses) = zip(*scan([glass, *(glass.having(**each) for each in tried)], misses), strict=True)
-        limit = (1 + WORTH_IT) * min(least, *losses)
-        as_good = [each for each, loss in zip(tried, losses, strict=True) if loss <= limit]
+        losses = [loss for _, loss in scan([glass, *(glass.having(**each) for each in tried)], misses)]
+        as_good = [each for each, loss in zip(tried, losses[1:], strict=True) if loss <= (1 + WORTH_IT) * min(losses)]
         for name in tried[0]:
             added[name] = dataclasses.replace(found[name], as_good=tuple(each[name] for each in as_good))
     return added
@@ -380,8 +378,6 @@ def find_number(
         return float(np.exp(place)) if how.is_factor else place
 
     value = lowest(slice(None), by_parabola=how.by_parabola)
-    halves = (lowest(is_even, by_parabola=True), lowest(~is_even, by_parabola=True))
-    found = Found(
-        value=value, even=halves[0], odd=halves[1], curve=tuple(zip(values.tolist(), losses.mean(axis=1).tolist()))
-    )
-    return glass.having(**{name: value}), found
+    even, odd = (lowest(half, by_parabola=True) for half in (is_even, ~is_even))
+    curve = tuple(zip(values.tolist(), losses.mean(axis=1).tolist()))
+    return glass.having(**{name: value}), Found(value=value, even=even, odd=odd, curve=curve)

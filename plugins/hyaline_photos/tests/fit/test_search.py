@@ -7,17 +7,7 @@ import pytest
 from support.drawn_glass import IS_EVEN, OUTSIDE_OF, PIXELS, TRUTH, misses_of
 
 from hyaline_photos.fit.found import intervals
-from hyaline_photos.fit.search import (
-    INDEX_HELD,
-    LAST,
-    Misses,
-    cells_of,
-    find_absorption,
-    guess,
-    in_even_views,
-    refine,
-    scan,
-)
+from hyaline_photos.fit.search import INDEX_HELD, Misses, cells_of, find_absorption, guess, in_even_views, refine, scan
 from hyaline_photos.fit.shapes import Glass, Revolution
 
 
@@ -165,17 +155,3 @@ def test_both_halves_of_the_views_have_pixels_whichever_views_see_an_object(view
     assert is_even.sum() == PIXELS / 2
     if len(views) > 1:
         assert not set(view[is_even]) & set(view[~is_even])
-
-
-def test_intervals_hold_walls_far_away_that_are_as_good_with_the_same_rim() -> None:
-    wall, taper, floor = (TRUTH.numbers[name] for name in ("wall", "taper", "floor"))
-
-    def misses(glass: Revolution) -> np.ndarray:
-        rim = glass.numbers["wall"] * glass.numbers["taper"] / (wall * taper)
-        return np.full((PIXELS, 3), 0.01 + abs(rim - 1) + abs(glass.numbers["floor"] / floor - 1))
-
-    for number, is_last in ((LAST - 1, False), (LAST, True)):
-        found = intervals({name: value for _, name, value in refine(TRUTH, misses, IS_EVEN, number=number)}, 0.0)
-        assert (found["wall"][0] < 0.6 * wall < 1.8 * wall < found["wall"][1]) == is_last
-        assert (found["taper"][0] < 0.6 * taper < 1.8 * taper < found["taper"][1]) == is_last
-        assert 0.8 * floor < found["floor"][0] < floor < found["floor"][1] < 1.2 * floor
