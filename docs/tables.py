@@ -52,6 +52,7 @@ PHOTOGRAPHS = {
     "light-path-fitted": ("`light-path`", "fitted: full of water"),
     "light-path-fitted-solid": ("`light-path`", "its outside as solid glass of index 1.5"),
     "paper-best-fitted-solid": ("`paper-best`", "the same"),
+    "light-path-fitted-none": ("`light-path`", "left out"),
     "nerfacto": ("nerfacto, 1,500 steps", "no shape"),
 }
 """Runs on the photographs of a shot glass: method, and the glass that it is given."""

@@ -175,10 +175,8 @@ def _exposed(
 def _object_ids(shot: Shot, lens: Lens) -> UInt8[np.ndarray, "h w"]:
     """1 + the place of the object that each pixel sees; where two claim it, the smaller one, which is in front."""
     found = np.zeros((lens.height, lens.width), np.uint8)
-    masks = []
-    for path in shot.masks:
-        mask = read_mask(path, (shot.lens.width, shot.lens.height))
-        masks.append(redrawn_mask(mask, shot.lens, lens))
+    size = shot.lens.width, shot.lens.height
+    masks = [redrawn_mask(read_mask(path, size), shot.lens, lens) for path in shot.masks]
     for place in sorted(range(len(masks)), key=lambda place: -int(masks[place].sum())):
         found[masks[place]] = 1 + place
     return found

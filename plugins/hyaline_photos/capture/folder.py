@@ -356,9 +356,7 @@ def _write_pictures(folder: Path, pictures: Masks) -> float:
         picture = opened(path).convert("RGB")
         size = (round(times * picture.width), round(times * picture.height))
         picture.resize(size, Image.Resampling.LANCZOS).save(folder / "images" / f"{place:05d}.png")
-        seen = np.zeros((picture.height, picture.width), bool)
-        for mask in masks:
-            seen |= read_mask(mask, picture.size)
+        seen = np.any([read_mask(mask, picture.size) for mask in masks], axis=0)
         hidden = Image.fromarray(np.where(seen, 0, 255).astype(np.uint8)).resize(size)
         hidden.save(folder / "masks" / f"{place:05d}.png.png")
     return times

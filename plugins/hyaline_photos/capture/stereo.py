@@ -158,8 +158,7 @@ def _inverse(depth: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
 
     if not depth.any():
         return np.ones_like(depth)
-    nearest = distance_transform_edt(depth == 0, return_distances=False, return_indices=True)
-    assert isinstance(nearest, np.ndarray)
+    nearest = np.asarray(distance_transform_edt(depth == 0, return_distances=False, return_indices=True))
     return 1 / depth[nearest[0], nearest[1]]
 
 

@@ -171,6 +171,9 @@ def intervals(numbers: Mapping[str, Found], pixel: float) -> dict[str, tuple[flo
         reach = index * (index - 1) * max(abs(end - wall) for end in found["wall"]) / wall
         low, high = found["ior"]
         found["ior"] = min(low, index - reach), max(high, index + reach)
+    for name, ends in found.items():
+        ends = (*ends, *numbers[name].as_good)
+        found[name] = min(ends), max(ends)
     return found
 
 

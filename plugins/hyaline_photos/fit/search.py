@@ -6,7 +6,7 @@ the index is found better by a parabola over a wide bracket.
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,8 +53,10 @@ FILLED_WALLS, FILLED_CORNER, LEVELS = (0.05, 0.12), 0.3, (0.3, 0.6, 0.8, 0.95)
 """The same of vessels that hold a drink, whose walls bend light little; levels in parts of the hollow's height."""
 USUAL = (USUAL_WALL, 0.15, 0.3)
 """A usual vessel: wall, floor and corner in the same units."""
-LAST = 5
+LAST = 4
 """Number of the last round."""
+FAR = tuple(np.exp(np.linspace(-0.7, 0.7, 8)).tolist())
+"""Factors on walls and floors, which are tried in the last round to see how far away others explain as well."""
 INDEX_HELD = 2
 """Number of rounds before a vessel's index is searched: while walls are wrong, a wrong index explains pictures best."""
 SHRINKS = 0.55
@@ -74,6 +76,8 @@ class Found:
     """The value that the round before found; in the last stage, with other textures."""
     curve: tuple[tuple[float, float], ...] = ()
     """The values that were tried, each with its mean penalty."""
+    as_good: tuple[float, ...] = ()
+    """Values far away that explain pictures as well if others change, too."""
 
 
 def find_material(glass: Glass, misses: Misses, is_even: Bool[np.ndarray, " pixel"]) -> Glass:
@@ -105,10 +109,9 @@ def find_roughness(glass: Glass, misses: Misses) -> Glass:
     if "roughness" not in found.numbers or found.hollow:
         return found
     pairs = itertools.product(INDICES, ROUGHNESSES)
-    tried = [glass.having(ior=ior, roughness=roughness) for ior, roughness in pairs]
-    losses = [float(misses(each).mean()) for each in tried]
-    as_good = [(each, loss) for each, loss in zip(tried, losses, strict=True) if loss <= (1 + AS_USUAL) * min(losses)]
-    return min(as_good, key=lambda each: (abs(each[0].numbers["ior"] - USUAL_INDEX), each[1]))[0]
+    cells = list(scan([glass.having(ior=ior, roughness=roughness) for ior, roughness in pairs], misses))
+    as_good = [cell for cell in cells if cell[1] <= (1 + AS_USUAL) * min(loss for _, loss in cells)]
+    return min(as_good, key=lambda cell: (abs(cell[0].numbers["ior"] - USUAL_INDEX), cell[1]))[0]
 
 
 def smoothed(frosted: Glass, misses: Misses) -> Glass:
@@ -125,7 +128,7 @@ def best_of(glasses: Sequence[Glass], misses: Misses) -> Glass:
 
 def find_absorption(
     glass: Glass, name: str, misses: Misses, is_even: Bool[np.ndarray, " pixel"]
-) -> tuple[Glass, tuple[Found, Found, Found]]:
+) -> tuple[Glass, tuple[Found, ...]]:
     """Searches the absorption of all colour channels at once: each is judged by its own channel of the pictures.
 
     Args:
@@ -147,11 +150,11 @@ def find_absorption(
     if not (losses.min(axis=0) < (1 - WORTH_IT) * losses[0]).any():
         estimates = np.zeros((3, 3))
     channels = zip(estimates.T.tolist(), values.T, losses.T, strict=True)
-    found = [
+    found = tuple(
         Found(value=v, even=e, odd=o, curve=tuple(zip(tried.tolist(), each.tolist())))
         for (v, e, o), tried, each in channels
-    ]
-    return dataclasses.replace(glass, **{name: as_vector(estimates[0])}), (found[0], found[1], found[2])
+    )
+    return dataclasses.replace(glass, **{name: as_vector(estimates[0])}), found
 
 
 def _lowest_positive(values: Float[np.ndarray, " value"], losses: Float[np.ndarray, " value"]) -> float:
@@ -321,7 +324,7 @@ def refine(
         number: of the round; brackets narrow from round to round.
 
     Yields:
-        The glass after each search, the name of the number, and what was found.
+        The glass after the search, the name of the number, and what was found.
     """
     if "roughness" in glass.numbers:
         glass = smoothed(glass, misses)
@@ -330,9 +333,27 @@ def refine(
         for channel, found in zip(CHANNELS, channels, strict=True):
             yield glass, f"{name}_{channel}", found
     held = {"ior"} if number < INDEX_HELD and glass.hollow else set()
+    numbers: dict[str, Found] = {}
     for name in [name for name in NUMBERS if name in glass.numbers and name not in held]:
-        glass, found = find_number(glass, name, reach_of(name, number), misses, is_even)
+        glass, numbers[name] = find_number(glass, name, reach_of(name, number), misses, is_even)
+    if number == LAST and glass.hollow:
+        numbers |= far_away(glass, numbers, misses)
+    for name, found in numbers.items():
         yield glass, name, found
+
+
+def far_away(glass: Glass, found: Mapping[str, Found], misses: Misses) -> dict[str, Found]:
+    """Adds walls and floors far from those of a vessel that explain pictures as well: a lower floor may need another
+    corner, and a thicker wall has to stay as thick at the rim, which pictures show."""
+    now, added = glass.numbers, {}
+    walls = [{"wall": now["wall"] * factor, "taper": now["taper"] / factor} for factor in FAR]
+    floors = [{"floor": now["floor"] * factor, "corner": each} for factor, each in itertools.product(FAR, CORNERS)]
+    for tried in (walls, floors):
+        losses = [loss for _, loss in scan([glass, *(glass.having(**each) for each in tried)], misses)]
+        as_good = [each for each, loss in zip(tried, losses[1:], strict=True) if loss <= (1 + WORTH_IT) * min(losses)]
+        for name in tried[0]:
+            added[name] = dataclasses.replace(found[name], as_good=tuple(each[name] for each in as_good))
+    return added
 
 
 def reach_of(name: str, number: int) -> float:
@@ -357,8 +378,6 @@ def find_number(
         return float(np.exp(place)) if how.is_factor else place
 
     value = lowest(slice(None), by_parabola=how.by_parabola)
-    halves = (lowest(is_even, by_parabola=True), lowest(~is_even, by_parabola=True))
-    found = Found(
-        value=value, even=halves[0], odd=halves[1], curve=tuple(zip(values.tolist(), losses.mean(axis=1).tolist()))
-    )
-    return glass.having(**{name: value}), found
+    even, odd = (lowest(half, by_parabola=True) for half in (is_even, ~is_even))
+    curve = tuple(zip(values.tolist(), losses.mean(axis=1).tolist()))
+    return glass.having(**{name: value}), Found(value=value, even=even, odd=odd, curve=curve)

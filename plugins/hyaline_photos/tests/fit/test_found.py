@@ -2,10 +2,13 @@
 
 import dataclasses
 
+import numpy as np
 import pytest
+from support.drawn_glass import IS_EVEN, PIXELS, TRUTH
 
 from hyaline_photos.fit.found import FLOOR_ERROR, WALL_ERROR, WELL, intervals
-from hyaline_photos.fit.search import WORTH_IT, Found
+from hyaline_photos.fit.search import LAST, WORTH_IT, Found, refine
+from hyaline_photos.fit.shapes import Revolution
 
 SURE = Found(value=10.0, even=10.0, odd=10.0, before=10.0)
 INDEX = Found(value=1.5, even=1.501, odd=1.499, before=1.5)
@@ -63,3 +66,16 @@ def test_the_index_of_a_vessel_is_as_uncertain_as_its_wall() -> None:
 def test_the_index_of_a_frosted_solid_is_uncertain() -> None:
     frost = Found(value=0.15, even=0.15, odd=0.15, before=0.15)
     assert intervals({"ior": INDEX, "roughness": frost}, 0.0)["ior"] == pytest.approx((1.4, 1.6))
+
+
+@pytest.mark.parametrize(("number", "is_last"), [(LAST - 1, False), (LAST, True)])
+def test_walls_far_away_that_are_as_good_with_the_same_rim_are_inside(number: int, is_last: bool) -> None:
+    wall, rim, floor = TRUTH.numbers["wall"], TRUTH.numbers["wall"] * TRUTH.numbers["taper"], TRUTH.numbers["floor"]
+
+    def misses(glass: Revolution) -> np.ndarray:
+        off = abs(glass.numbers["wall"] * glass.numbers["taper"] / rim - 1) + abs(glass.numbers["floor"] / floor - 1)
+        return np.full((PIXELS, 3), 0.01 + off)
+
+    found = intervals({name: value for _, name, value in refine(TRUTH, misses, IS_EVEN, number=number)}, 0.0)
+    assert (found["wall"][0] < 0.6 * wall < 1.8 * wall < found["wall"][1]) == is_last
+    assert 0.8 * floor < found["floor"][0] < floor < found["floor"][1] < 1.2 * floor
