@@ -18,23 +18,9 @@ from datagen.scene.rig import make_cameras
 
 use_mitsuba()
 
-from benchmarks.peel import bench_peel, compare_objects  # noqa: E402
+from benchmarks.peel import compare_objects  # noqa: E402
 from benchmarks.truth import Goal, bench_truth, fit_noise  # noqa: E402
 from datagen.trace.peel import Peeler  # noqa: E402
-
-
-@pytest.mark.full
-def test_every_engine_is_timed_after_all_checks_passed() -> None:
-    report = bench_peel(size=24, num_layers=3, subdivisions=3, rounds=3)
-    assert [timing.name for timing in report.timings] == [
-        "mitsuba-eager",
-        "mitsuba-fused",
-        "light-path-loop",
-        "light-path",
-    ]
-    assert [check.name for check in report.checks] == ["same objects", "same light paths"]
-    assert all(check.passed for check in report.checks)
-    assert all(gate.ratio is not None for gate in report.gates)
 
 
 def test_a_wrong_engine_fails_the_check() -> None:
@@ -81,4 +67,4 @@ def test_the_command_lists_its_benches_and_prints_tables() -> None:
     assert all(name in answer.out for name in ("peel", "truth", "step"))
     answer = call("benchmarks peel --size 16 --subdivisions 3 --rounds 3")
     assert answer.status == (1 if "FAILED" in answer.out else 0)
-    assert "mitsuba-fused" in answer.out
+    assert all(name in answer.out for name in ("mitsuba-eager", "mitsuba-fused", "light-path-loop", "same light paths"))

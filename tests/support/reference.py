@@ -119,19 +119,6 @@ def interpolate(table: np.ndarray, place: np.ndarray) -> np.ndarray:
     return result
 
 
-def convolve(volume: np.ndarray, kernels: np.ndarray, biases: np.ndarray) -> np.ndarray:
-    """(c, z, y, x) with kernels (o, c, 3, 3, 3), the border's voxels going on outside, as networks convolve."""
-    result = np.zeros((len(kernels), *volume.shape[1:]))
-    last = np.array(volume.shape[1:]) - 1
-    for voxel in np.ndindex(*volume.shape[1:]):
-        total = biases.astype(np.float64)
-        for tap in itertools.product((-1, 0, 1), repeat=3):
-            z, y, x = np.clip(np.add(voxel, tap), 0, last)
-            total = total + kernels[:, :, tap[0] + 1, tap[1] + 1, tap[2] + 1] @ volume[:, z, y, x]
-        result[:, *voxel] = total
-    return result
-
-
 def winding_numbers(mesh: Mesh, points: np.ndarray) -> np.ndarray:
     """How often a surface winds around each point: 1 inside, 0 outside. Source: van Oosterom and Strackee 1983."""
     a, b, c = np.moveaxis(face_corners(mesh).astype(np.float64)[None] - points[:, None, None], 2, 0)

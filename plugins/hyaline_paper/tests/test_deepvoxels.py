@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 from support.commands import call
-from support.reference import convolve, interpolate
+from support.reference import interpolate
 from support.synthetic import look_at, write_synthetic_dataset
 from support.training import assert_resumes
 
-from datagen.data.cameras import Cameras, Lens
+from datagen.data.cameras import Cameras
 from datagen.data.config import square
 from datagen.data.dataset import Dataset
 from datagen.data.images import read_png
@@ -24,17 +24,13 @@ from hyaline_paper.deepvoxels import (
     build,
     fit_cube,
     frustum_points,
-    grid_coordinates,
     lift,
-    near_plane,
     sample_frustum,
 )
 from hyaline_paper.methods import DeepVoxelsConfig
-from hyaline_paper.voxel_nets import Integration, Occlusion, collapse
 from model.batches.rays import Views, load_views_of, views_of
 from model.methods.protocol import open_inputs
 from model.run.run_folder import TrainConfig, read_run
-from model.run.train import train
 
 CPU = torch.device("cpu")
 SIZE = 16
@@ -80,12 +76,6 @@ def test_a_frustum_lies_on_the_pixels_rays_a_voxel_apart_around_the_grid() -> No
         assert depth[-1] > 2 + 0.6 * np.sqrt(3)
 
 
-def test_the_near_plane_never_comes_behind_the_camera() -> None:
-    lens = Lens(fov_x=0.8, width=SIZE, height=SIZE)
-    inside = lens.camera(look_at(np.array([0.4, 0, 0]), np.zeros(3)))
-    assert float(near_plane(inside, some_grid())) == pytest.approx(0.15)
-
-
 def test_lifting_equals_a_loop_and_leaves_unseen_voxels_empty() -> None:
     # So large and so near that some voxels are behind the camera, some beside the picture.
     cameras, grid = some_cameras(2, radius=0.7), some_grid(edge=3.0)
@@ -128,13 +118,6 @@ def test_projecting_equals_a_loop_and_has_a_gradient() -> None:
     assert float(volume.grad.sum()) == pytest.approx(2 * (expected[:, 0] > 0).sum(), rel=1e-4)
 
 
-def test_the_cube_stands_where_cameras_look_and_holds_the_scene() -> None:
-    vertices = np.random.default_rng(0).normal(size=(50, 3)) * 0.2 + [0.3, -0.2, 0.1]
-    origin, edge = fit_cube(some_cameras(9), vertices)
-    np.testing.assert_allclose(origin, [0.3, -0.2, 0.1], atol=1e-9)
-    assert np.abs(vertices - origin).max() == pytest.approx(edge / 2)
-
-
 def test_neighbours_are_the_nearest_in_angle_and_never_the_view_itself() -> None:
     cameras = some_cameras(12)
     views = Views(rgb=torch.zeros(0, 3, dtype=torch.uint8), cameras=cameras)
@@ -165,40 +148,6 @@ def test_every_part_has_its_authors_number_of_parameters(
     assert tuple(sum(p.numel() for p in module.parameters()) for module in modules) == parts
     total = {(128, 64): 137.5, (128, 16): 9.6}[size, width]
     assert round(sum(parts) / 1e6, 1) == total == round(sum(p.numel() for p in net.parameters()) / 1e6, 1)
-
-
-def test_the_integration_is_the_gated_unit_of_its_formula() -> None:
-    torch.manual_seed(0)
-    unit = Integration(2).eval()
-    new, old = torch.randn(1, 2, 4, 4, 4), torch.randn(1, 2, 4, 4, 4)
-    result = unit(new, old, grid_coordinates(4))[0].detach().numpy()
-
-    place = np.stack(np.meshgrid(*[[-0.5, -0.25, 0.0, 0.25]] * 3, indexing="ij"))
-    h, x = np.concatenate([old[0].numpy(), place]), np.concatenate([new[0].numpy(), place])
-    conv_x, conv_h, conv_rh = (part[1] for part in (unit.new, unit.old_gates, unit.old_candidate))
-
-    def loops(volume: np.ndarray, layer: torch.nn.Module, channels: slice) -> np.ndarray:
-        kernels = layer.get_parameter("weight").detach().numpy()[channels]
-        has_bias = layer is conv_x
-        biases = layer.get_parameter("bias").detach().numpy()[channels] if has_bias else np.zeros(len(kernels))
-        return convolve(volume, kernels, biases)
-
-    reset = 1 / (1 + np.exp(-loops(x, conv_x, slice(0, 1)) - loops(h, conv_h, slice(0, 1))))
-    update = 1 / (1 + np.exp(-loops(x, conv_x, slice(1, 2)) - loops(h, conv_h, slice(1, 2))))
-    candidate = np.tanh(loops(x, conv_x, slice(2, 4)) + loops(reset * h, conv_rh, slice(0, 2)))
-    np.testing.assert_allclose(result, (1 - update) * old[0].numpy() + update * candidate, atol=1e-5)
-
-
-def test_visibility_sums_to_one_and_features_are_its_mean_over_depth() -> None:
-    torch.manual_seed(0)
-    frustum = torch.randn(1, 3, 8, 16, 16)
-    visibility = Occlusion(3, num_planes=8, plane_size=16)(frustum).detach()
-    assert visibility.shape == (1, 1, 8, 16, 16) and (visibility >= 0).all()
-    torch.testing.assert_close(visibility.sum(dim=2), torch.ones(1, 1, 16, 16))
-    features = collapse(frustum, visibility)
-    for row, column in ((0, 0), (5, 11)):
-        total = sum(visibility[0, 0, d, row, column] * frustum[0, :, d, row, column] for d in range(8))
-        torch.testing.assert_close(features[0, :, row, column], total / 8)
 
 
 def test_drawing_leaves_the_grid_and_observing_keeps_it_without_gradient(dataset: Dataset) -> None:
@@ -238,19 +187,6 @@ def test_a_stopped_and_resumed_run_has_the_same_bytes(
     assert_resumes(monkeypatch, config, dataset, tmp_path, stop=3)
     record = read_run(tmp_path / "whole")
     assert (record.geometry, record.knowledge) == ("none", "cameras only, and the scene's extent")
-
-
-@pytest.mark.full
-def test_it_learns_what_each_camera_sees(tmp_path: Path) -> None:
-    dataset = write_synthetic_dataset(tmp_path / "data" / "synthetic", train_views=4)
-    net = dataclasses.replace(TINY, image_size=32, width=8, voxel_features=8)
-    config = dataclasses.replace(run_config(net, steps=50), lr=0.004, lr_decay="linear", evaluate_every=25)
-    train(config, dataset, tmp_path / "run", label="deepvoxels", device=CPU)
-    losses = [json.loads(line)["loss"] for line in (tmp_path / "run/metrics.jsonl").read_text().splitlines()]
-    true = np.stack([dataset.view("train", view).image[5:-5, 5:-5] / 255 for view in range(4)])
-    # The median is the best picture for a network that draws the same for every camera.
-    same_for_all = np.abs(true - np.median(true, axis=0)).mean()
-    assert losses[-1] < 0.8 * same_for_all
 
 
 def test_the_command_trains_the_small_preset_on_a_cpu(tmp_path: Path) -> None:
