@@ -85,6 +85,7 @@ house: dev
 # docs/results/*.md and the tables of README, RESULTS and docs/{index,paper,claims}.md, from the stored results.json files.
 results: setup
 	for page in paper scenes fits; do $(BIN)/python docs/results.py docs/results/$$page > docs/results/$$page.md || exit 1; done
+	$(BIN)/hyaline-bench leaderboard docs/results/bench > docs/results/bench.md
 	$(BIN)/python docs/tables.py
 
 # The pages of docs/ as a web site.

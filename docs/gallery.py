@@ -1,6 +1,6 @@
 """Draws the worst view of `light-path` in some scenes of the benchmark, and prints where the squared error lies.
 
-    python docs/gallery.py DATA RUNS OUT.webp SCENE...
+    python docs/gallery.py DATA RUNS OUT.webp DATASET...
 
 DATA has the datasets, with the truth of all views; RUNS the runs of `model sweep` on them.
 """
@@ -69,10 +69,10 @@ def _panel(pictures: Float[np.ndarray, "h w 3"], caption: str) -> Image.Image:
 
 def main() -> None:
     """See the module."""
-    data, runs, out, *scenes = sys.argv[1:]
+    data, runs, out, *names = sys.argv[1:]
     panels = []
-    for scene in scenes:
-        panel, row = draw_scene(open_dataset(Path(data) / f"{scene}-small"), Path(runs) / f"{scene}-small" / RUN, scene)
+    for name in names:
+        panel, row = draw_scene(open_dataset(Path(data) / name), Path(runs) / name / RUN, name.removesuffix("-small"))
         panels.append(panel)
         print(row)
     width, height = panels[0].size
