@@ -336,6 +336,14 @@ def tracks_table() -> str:
     return table_of(columns, [cells for *_, cells in sorted(methods)], texts=2)
 
 
+def errors_table() -> str:
+    """Squared errors of the benchmark's methods by what pixels show."""
+    (grid,) = _read("errors")["tables"]["errors"]
+    rows = [(f"`{re.sub(r'-[0-9]+-steps.*', '', row[0])}`", *row[2:]) for row in grid["rows"]]
+    columns = ("method", "glass", "mirrored", "lit", "opaque", "sky", "all", "shares", "highlights, dB", "their error")
+    return table_of(columns, rows, texts=1)
+
+
 def fits_table() -> str:
     """What fitted glass costs on random scenes."""
     rows = []
@@ -390,6 +398,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "pairs": pairs_table,
     "verdicts": verdicts_table,
     "tracks": tracks_table,
+    "errors": errors_table,
     "fits": fits_table,
     "photographs": photographs_table,
 }
