@@ -72,12 +72,10 @@ def test_lists_are_flags_that_repeat_and_switches_have_two_forms() -> None:
         ("datagen b", ["build"]),
         ("datagen build p", ["plant_shelf", "prism_bench", "pool"]),
         ("datagen build --preset s", ["small", "standard"]),
-        ("datagen build --family n", ["nested"]),
         ("datagen build --out ", []),  # A file.
-        ("datagen export --format bop", ["bop", "bop-sensor"]),
         ("datagen look o", ["one"]),
         ("model train paper --twice ", ["one"]),
-        ("model view ", ["one", "one/mine"]),
+        ("model film ", ["one/mine"]),
         ("model predict --over", ["--overwrite"]),
     ],
 )
