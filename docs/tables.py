@@ -339,7 +339,10 @@ def tracks_table() -> str:
 def errors_table() -> str:
     """Squared errors of the benchmark's methods by what pixels show."""
     (grid,) = _read("errors")["tables"]["errors"]
-    rows = [(f"`{re.sub(r'-[0-9]+-steps.*', '', row[0])}`", *row[2:]) for row in grid["rows"]]
+    rows = [
+        (f"`{re.sub(r'-[0-9]+-steps.*', '', row[0])}`", *(cell.replace("-", "\N{MINUS SIGN}") for cell in row[2:]))
+        for row in grid["rows"]
+    ]
     columns = ("method", "glass", "mirrored", "lit", "opaque", "sky", "all", "shares", "highlights, dB", "their error")
     return table_of(columns, rows, texts=1)
 

@@ -11,6 +11,7 @@ def test_every_experiment_that_comes_with_the_program_is_one_that_train_takes(na
     answer = commands.call(f"model sweep {name} --dry-run")
     lines = answer.out.splitlines()
     assert answer.status == 0 and lines and len(lines) == len(set(lines))
+    assert name in "".join(commands.call("model sweep --help").out.split()), "help may break a name at a hyphen"
 
 
 def test_a_folder_of_experiments_is_all_of_its_parts_with_each_run_once() -> None:

@@ -56,7 +56,6 @@ def test_the_pages_of_results_are_what_the_commands_write(monkeypatch: pytest.Mo
     folders = sorted(path for path in Path("docs/results").iterdir() if path.is_dir())
     assert sorted(Path("docs/results").glob("*.md")) == [folder.with_suffix(".md") for folder in folders]
     for folder in folders:
-        is_bench = folder.name == "bench"
-        page = call(f"hyaline-bench leaderboard {folder}").out if is_bench else results_page(folder)
+        page = call(f"hyaline-bench leaderboard {folder}").out if folder.name == "bench" else results_page(folder)
         assert folder.with_suffix(".md").read_text() == page, "write it with `make results`"
         assert f"({folder.with_suffix('.md').as_posix()}" in Path("RESULTS.md").read_text()
