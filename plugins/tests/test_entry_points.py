@@ -151,3 +151,8 @@ def test_no_name_imports_a_module_of_the_working_folder(tmp_path: Path) -> None:
     for line, status, said in json.loads(child.stdout):
         assert status in (1, 2) and said.startswith("error: "), (line, said)
     assert not list(tmp_path.glob("MARK-*"))
+
+
+@pytest.mark.parametrize(("line", "choice"), [("datagen build", "nested"), ("datagen export", "bop-sensor")])
+def test_help_shows_the_choices_that_plug_ins_bring(line: str, choice: str) -> None:
+    assert choice in "".join(call(f"{line} --help").out.split())
