@@ -118,7 +118,7 @@ class DatasetConfig:
     extrapolating: SplitConfig
     ceiling_db: float | None = None
     """Render each test view until its noise ceiling reaches this; None renders a fixed number of samples."""
-    max_depth: int = 24
+    max_depth: int = 100
     """Longest light path in segments."""
     seed: int = 0
 

@@ -220,7 +220,7 @@ def list_fitted_commands(preset: str, protocol: "Protocol") -> Iterator[str]:
 
 
 def _build(scene: str, preset: str, protocol: "Protocol") -> Iterator[str]:
-    yield f"datagen build {scene} --preset {preset} --out data/{scene}-{preset} --quiet"
+    yield protocol.build_command(scene, preset, f"data/{scene}-{preset} --quiet")
     yield f"datagen add {scene}-{preset} --edit {TWINS[0]}"
     if scene in protocol.scenes:
         yield f"datagen add {scene}-{preset} --angles"

@@ -62,7 +62,7 @@ def verifier_commands(secret: str, preset: str, protocol: Protocol) -> list[str]
         scene = protocol.random_name(place, hidden_seed(secret, place, protocol))
         source = f"secret/{name}-{preset}"
         lines += [
-            f"datagen build {scene} --preset {preset} --out {source}",
+            protocol.build_command(scene, preset, source),
             f"datagen add {source} --edit {NO_GLASS}",
             f"hyaline-bench hide {source} --scene {name}",
         ]

@@ -35,6 +35,8 @@ class Size:
     resolution: int
     train: SplitConfig
     test: SplitConfig
+    ceiling_db: float | None = None
+    """Test views have the samples that their noise ceiling takes to reach this, and at least those of `test`."""
     scenes: tuple[str, ...] = ()
     """The scenes that belong to the preset; empty for all."""
 
@@ -72,6 +74,8 @@ class Protocol:
     """The content of protocol.toml."""
 
     version: int
+    max_depth: int
+    """Longest light path of the truth in segments."""
     presets: dict[str, Size]
     scenes: dict[str, tuple[str, ...]]
     """The built-in scenes, and the edits of each."""
@@ -93,6 +97,12 @@ class Protocol:
         random = (self.random_name(place, self.random.first_seed + place) for place in range(self.random.count))
         every = [*self.scenes, *random]
         return [name for name in every if name in (self.size(preset).scenes or every)]
+
+    def build_command(self, scene: str, preset: str, out: str) -> str:
+        """The command that builds a scene's dataset."""
+        ceiling = self.size(preset).ceiling_db
+        more = "" if ceiling is None else f" --ceiling {ceiling:g}"
+        return f"datagen build {scene} --preset {preset}{more} --out {out}"
 
     def random_name(self, place: int, seed: int) -> str:
         """The name of the random scene at a place among the public or the hidden ones."""
@@ -159,11 +169,14 @@ def is_of_preset(dataset: Dataset, preset: str, protocol: Protocol) -> bool:
         train=size.train,
         interpolating=size.test,
         extrapolating=size.test,
+        ceiling_db=size.ceiling_db,
+        max_depth=protocol.max_depth,
     )
     if difference := config_difference(asked, config):
+        again = protocol.build_command(config.scene, preset, shlex.quote(str(dataset.root)))
         raise HyalineError(
-            f"{dataset.root}: differs from the protocol's {preset} ({difference}); build it again with `datagen build "
-            f"{config.scene} --preset {preset} --out {shlex.quote(str(dataset.root))} --overwrite`"
+            f"{dataset.root}: differs from the protocol's {preset} ({difference}); build it again with `{again} "
+            "--overwrite`"
         )
     return True
 

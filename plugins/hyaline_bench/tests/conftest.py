@@ -22,7 +22,8 @@ from datagen.scene.folder import scene_files
 from hyaline_bench import protocol
 
 PROTOCOL = """
-version = 2
+version = 3
+max_depth = 100
 bootstrap = { resamples = 1000, seed = 0, confidence = 0.95 }
 [presets]
 tiny = { resolution = 32, train = { views = 8, spp = 4 }, test = { views = 2, spp = 4 } }

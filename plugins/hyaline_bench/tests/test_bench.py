@@ -100,7 +100,7 @@ def test_floors_are_scored_and_shown(predicted: Path, small_protocol: Protocol) 
     assert (summary.worst, *summary.interval) == pytest.approx((min(one, other), min(one, other), max(one, other)))
 
     printed = call("hyaline-bench leaderboard --preset tiny").out
-    assert printed.startswith("# hyaline-bench 2, tiny\n") and "## Track: pictures" in printed
+    assert printed.startswith("# hyaline-bench 3, tiny\n") and "## Track: pictures" in printed
     assert f"| {summary.mean:.2f} | " in printed and "## Track: shapes" not in printed
     row = next(line for line in printed.splitlines() if line.startswith("| synthetic | "))
     assert f" | {read_scored(MEAN).scenes['synthetic'].psnr_db(GLASS):.2f} | " in row
