@@ -27,7 +27,7 @@ class Limits(NamedTuple):
     """Branches followed for each ray; 1 is the refracted one alone."""
     max_vertices: int = 8
     """Vertices kept of each branch. The last place always contains the branch's last vertex."""
-    max_depth: int = 24
+    max_depth: int = 100
     """Number of surfaces after which a branch is abandoned."""
     min_throughput: float = 1 / 512
     """Branches that start with a smaller throughput are not followed; less is below one step of an 8-bit picture."""

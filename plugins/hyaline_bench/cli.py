@@ -4,7 +4,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Annotated, cast
 
 from datagen.data.variants import TWINS
 from datagen.disk.errors import HyalineError, UsageError
@@ -16,6 +16,22 @@ if TYPE_CHECKING:
     from hyaline_bench.protocol import Protocol
 
 BENCH = Path("bench")
+
+
+def _presets() -> list[str]:
+    from hyaline_bench.protocol import load_protocol
+
+    return list(load_protocol().presets)
+
+
+def _tracks() -> list[str]:
+    from hyaline_bench.protocol import load_protocol
+
+    return list(load_protocol().tracks)
+
+
+Preset = Annotated[str, _presets]
+Track = Annotated[str, _tracks]
 
 
 def main() -> None:
@@ -36,22 +52,22 @@ def commands() -> CommandGroup:
     return group("Score methods on the benchmark, and print the leaderboard.", by_name)
 
 
-def list_all(*, preset: str = "demo", fitted: bool = False) -> None:
+def list_all(*, preset: Preset = "demo", fitted: bool = False) -> None:
     """Print every command of the benchmark on public scenes, for `model sweep - --jobs 2` to run.
 
     Args:
-        preset: Size of the benchmark's datasets: tiny, small, demo or standard.
+        preset: Size of the benchmark's datasets.
         fitted: The track of masks instead: light-path on glass that `model fit` finds.
     """
     for line in (list_fitted_commands if fitted else list_commands)(preset, _protocol(preset)):
         tell(line)
 
 
-def floors(*, preset: str = "demo", runs: Path = Path("runs"), data: Path = Path("data")) -> None:
+def floors(*, preset: Preset = "demo", runs: Path = Path("runs"), data: Path = Path("data")) -> None:
     """Predict with two methods that learn nothing: the mean training picture, and that of the nearest camera.
 
     Args:
-        preset: Size of the benchmark's datasets: tiny, small, demo or standard.
+        preset: Size of the benchmark's datasets.
         runs: Folder for the predictions.
         data: Folder with the datasets.
     """
@@ -66,8 +82,8 @@ def score(
     method: str | None = None,
     /,
     *,
-    preset: str = "demo",
-    track: str | None = None,
+    preset: Preset = "demo",
+    track: Track | None = None,
     runs: Path = Path("runs"),
     data: Path = Path("data"),
 ) -> None:
@@ -78,9 +94,8 @@ def score(
 
     Args:
         method: Name of the runs' folders. Default: all methods; incomplete ones are left out.
-        preset: Size of the benchmark's datasets: tiny, small, demo or standard.
-        track: The method's inputs: pictures (and cameras), masks, proxies, shapes or materials. Default: from its
-            run.json.
+        preset: Size of the benchmark's datasets.
+        track: The method's inputs. Default: from its run.json.
         runs: Folder with the runs.
         data: Folder with the datasets, DATA/SCENE, including their truth.
     """
@@ -111,12 +126,12 @@ def score(
     next_command(f"hyaline-bench leaderboard --preset {preset}")
 
 
-def leaderboard(scores: Path | None = None, /, *, preset: str = "demo") -> None:
+def leaderboard(scores: Path | None = None, /, *, preset: Preset = "demo") -> None:
     """Print the leaderboard as Markdown: for each track, a table of methods and one of every scene.
 
     Args:
         scores: Folder of files from `hyaline-bench score`. Default: bench/PRESET/scores.
-        preset: Without SCORES: size of the datasets, tiny, small, demo or standard.
+        preset: Without SCORES: size of the datasets.
     """
     from hyaline_bench.leaderboard import results_page
     from hyaline_bench.score import read_scores
@@ -129,12 +144,12 @@ def leaderboard(scores: Path | None = None, /, *, preset: str = "demo") -> None:
     sys.stdout.write(results_page(found, protocol))
 
 
-def secret(file: Path, /, *, preset: str = "demo") -> None:
+def secret(file: Path, /, *, preset: Preset = "demo") -> None:
     """For verifiers: print the commitment of a secret, and the commands that build its hidden scenes.
 
     Args:
         file: File with the secret; if it is missing, a secret is drawn. Keep it private until the round is over.
-        preset: Size of the hidden datasets: small, demo or standard.
+        preset: Size of the hidden datasets; tiny has none.
     """
     from datagen.disk.storage import sha256
     from hyaline_bench.hidden import read_secret, verifier_commands

@@ -153,7 +153,7 @@ def test_files_that_are_no_scores_of_this_protocol_are_named_and_left_out(predic
         (folder / f"{name}.json").write_bytes(seal_bytes(content | keys))
     answer = call(f"hyaline-bench leaderboard {folder}")
     assert answer.status == 0
-    assert "left out: bench/tiny/scores/older.json: was scored with protocol 1; expected 2" in answer.err
+    assert "left out: bench/tiny/scores/older.json: was scored with protocol 1; expected 3" in answer.err
     assert "left out: bench/tiny/scores/magic.json: is of the track 'magic'; expected one of pictures" in answer.err
 
 
