@@ -4,34 +4,20 @@ import sys
 from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import Annotated, cast
 
+from datagen.data.dataset import open_dataset
 from datagen.data.variants import TWINS
 from datagen.disk.errors import HyalineError, UsageError
 from datagen.disk.records import Json, commit_sealed, to_json
+from datagen.disk.storage import sha256
 from datagen.terminal.command import choose, next_command, run, say, tell
 from datagen.terminal.parsing import CommandGroup, group
-
-if TYPE_CHECKING:
-    from hyaline_bench.protocol import Protocol
+from hyaline_bench.protocol import Protocol, left_out, load_protocol
 
 BENCH = Path("bench")
-
-
-def _presets() -> list[str]:
-    from hyaline_bench.protocol import load_protocol
-
-    return list(load_protocol().presets)
-
-
-def _tracks() -> list[str]:
-    from hyaline_bench.protocol import load_protocol
-
-    return list(load_protocol().tracks)
-
-
-Preset = Annotated[str, _presets]
-Track = Annotated[str, _tracks]
+Preset = Annotated[str, lambda: load_protocol().presets]
+Track = Annotated[str, lambda: load_protocol().tracks]
 
 
 def main() -> None:
@@ -101,7 +87,6 @@ def score(
     """
     from eval.tables.grids import TABLE_WIDTH, grid_text
     from hyaline_bench.leaderboard import scene_grid
-    from hyaline_bench.protocol import left_out
     from hyaline_bench.score import find_runs, score_runs
 
     protocol = _protocol(preset)
@@ -151,7 +136,6 @@ def secret(file: Path, /, *, preset: Preset = "demo") -> None:
         file: File with the secret; if it is missing, a secret is drawn. Keep it private until the round is over.
         preset: Size of the hidden datasets; tiny has none.
     """
-    from datagen.disk.storage import sha256
     from hyaline_bench.hidden import read_secret, verifier_commands
 
     protocol = _protocol(preset)
@@ -171,18 +155,14 @@ def hide(dataset: Path, /, *, scene: str, out: Path = Path()) -> None:
         scene: Name of the hidden scene, such as hidden-0.
         out: Folder for public/SCENE-PRESET and truth/SCENE-PRESET.
     """
-    from datagen.data.dataset import open_dataset
     from hyaline_bench.hidden import hide_truth
-    from hyaline_bench.protocol import load_protocol
 
     for folder in hide_truth(open_dataset(dataset), scene, out, load_protocol()):
         tell(str(folder))
 
 
-def _protocol(preset: str) -> "Protocol":
+def _protocol(preset: str) -> Protocol:
     """The protocol, which must have this preset."""
-    from hyaline_bench.protocol import load_protocol
-
     protocol = load_protocol()
     protocol.size(preset)
     return protocol
@@ -204,7 +184,7 @@ UNFITTED = ("vitrine", "prism_bench", "pool")
 hold such shapes, too; a fit takes a quarter of an hour or more."""
 
 
-def list_commands(preset: str, protocol: "Protocol") -> Iterator[str]:
+def list_commands(preset: str, protocol: Protocol) -> Iterator[str]:
     """Builds every public scene, trains every built-in method, and prints the leaderboard."""
     for scene in protocol.public_scenes(preset):
         data, edits = f"{scene}-{preset}", protocol.scenes.get(scene, ())
@@ -222,7 +202,7 @@ def list_commands(preset: str, protocol: "Protocol") -> Iterator[str]:
     yield f"hyaline-bench leaderboard --preset {preset}"
 
 
-def list_fitted_commands(preset: str, protocol: "Protocol") -> Iterator[str]:
+def list_fitted_commands(preset: str, protocol: Protocol) -> Iterator[str]:
     """The track of masks: `light-path` on shapes and materials that `model fit` finds, where it can.
 
     Everything that is not glass is taken as matt, because the track tells its shape alone.
@@ -234,7 +214,7 @@ def list_fitted_commands(preset: str, protocol: "Protocol") -> Iterator[str]:
             yield f"{_train('light-path', f'{scene}-{preset}', preset)} --geometry fitted"
 
 
-def _build(scene: str, preset: str, protocol: "Protocol") -> Iterator[str]:
+def _build(scene: str, preset: str, protocol: Protocol) -> Iterator[str]:
     yield protocol.build_command(scene, preset, f"data/{scene}-{preset} --quiet")
     yield f"datagen add {scene}-{preset} --edit {TWINS[0]}"
     if scene in protocol.scenes:

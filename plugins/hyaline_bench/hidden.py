@@ -32,7 +32,7 @@ from datagen.scene.description import Scene, SoftEnvironment
 from datagen.scene.folder import open_scene, scene_files
 from datagen.scene.materials import Diffuse, Plastic
 from datagen.terminal.command import choose, say
-from hyaline_bench.protocol import NO_GLASS, Protocol, is_of_preset
+from hyaline_bench.protocol import NO_GLASS, Protocol, glass_masks, is_of_preset
 
 GREY = (0.5, 0.5, 0.5)
 SECRET_BYTES = 32
@@ -82,14 +82,8 @@ def hide_truth(source: Dataset, name: str, out: Path, protocol: Protocol) -> tup
     if source.imported is not None or source.parent is not None:
         raise HyalineError(f"{source.root}: is imported, or a variant; expected what `datagen build` made")
     published = dataclasses.replace(source.config, scene=name, seed=0)
-    try:
-        is_of_preset(dataclasses.replace(source, config=published), preset, protocol)
-    except HyalineError as error:
-        reason = str(error).split("; ")[0]
-        raise HyalineError(f"{reason}; `hyaline-bench secret` prints the commands that build it") from None
-    masks = variant_root(source.root, NO_GLASS) / EDIT_MASKS_FOLDER
-    if not masks.is_dir():
-        raise HyalineError(f"{masks}: missing; make them with `datagen add {source.root} --edit {NO_GLASS}`")
+    is_of_preset(dataclasses.replace(source, config=published), preset, protocol)
+    masks = glass_masks(source)
     scene = open_scene(source)
     files = scene_files(without_colours(scene, name))
     num_layers = source.layer_store().head.num_layers

@@ -6,6 +6,7 @@ from statistics import fmean
 
 import numpy as np
 from jaxtyping import Float
+from scipy import stats
 
 from datagen.data.config import TEST_SPLITS
 from datagen.disk.errors import HyalineError
@@ -70,17 +71,12 @@ def summarise(
 
 
 def mean_interval(values: Float[np.ndarray, "scene"], bootstrap: Bootstrap) -> tuple[float, float] | None:
-    """The percentile bootstrap's interval of the mean; None for a single value.
-
-    Source: Efron and Tibshirani 1993, chapter 13.
-    """
+    """The percentile bootstrap's interval of the mean; None for a single value."""
     if len(values) < 2:
         return None
-    rng = np.random.default_rng(bootstrap.seed)
-    means = rng.choice(values, (bootstrap.resamples, len(values))).mean(axis=1)
-    tail = (1 - bootstrap.confidence) / 2
-    low, high = np.quantile(means, [tail, 1 - tail])
-    return float(low), float(high)
+    size = {"n_resamples": bootstrap.resamples, "confidence_level": bootstrap.confidence}
+    found = stats.bootstrap((values,), np.mean, method="percentile", rng=bootstrap.seed, **size).confidence_interval
+    return float(found.low), float(found.high)
 
 
 # Tables

@@ -1,7 +1,6 @@
 """The benchmark's protocol: scenes, sizes, splits, edits and tracks, from protocol.toml."""
 
 import functools
-import shlex
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -12,7 +11,7 @@ from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS, DatasetConfig, Split,
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import NO_GEOMETRY
 from datagen.data.paths import MIXED, PROXY_KINDS, TRUTH, is_fitted
-from datagen.data.variants import ANGLES, TWINS
+from datagen.data.variants import ANGLES, EDIT_MASKS_FOLDER, TWINS, variant_root
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import from_json
 from datagen.scene.edits import edits_name, parse_edit
@@ -173,12 +172,19 @@ def is_of_preset(dataset: Dataset, preset: str, protocol: Protocol) -> bool:
         max_depth=protocol.max_depth,
     )
     if difference := config_difference(asked, config):
-        again = protocol.build_command(config.scene, preset, shlex.quote(str(dataset.root)))
         raise HyalineError(
-            f"{dataset.root}: differs from the protocol's {preset} ({difference}); build it again with `{again} "
-            "--overwrite`"
+            f"{dataset.root}: differs from the protocol's {preset} ({difference}); `hyaline-bench commands` prints the "
+            "commands that build public scenes, `hyaline-bench secret` those for hidden ones"
         )
     return True
+
+
+def glass_masks(dataset: Dataset) -> Path:
+    """The folder of masks that tell which pixels' light meets glass."""
+    masks = variant_root(dataset.root, NO_GLASS) / EDIT_MASKS_FOLDER
+    if not masks.is_dir():
+        raise HyalineError(f"{masks}: missing; make them with `datagen add {dataset.root} --edit {NO_GLASS}`")
+    return masks
 
 
 def least_track(run: Run, tracks: Mapping[str, str]) -> str | None:

@@ -20,7 +20,6 @@ from datagen.data.images import srgb_from_linear
 from datagen.data.paths import list_datasets
 from datagen.data.variants import (
     ANGLES,
-    EDIT_MASKS_FOLDER,
     ELSEWHERE,
     has_variant,
     open_variant,
@@ -54,6 +53,7 @@ from hyaline_bench.protocol import (
     NO_GLASS,
     Protocol,
     choose_track,
+    glass_masks,
     is_of_preset,
     left_out,
     load_protocol,
@@ -115,8 +115,7 @@ def list_parts(run: Run, protocol: Protocol) -> list[Part]:
         HyalineError: a split that the protocol asks for is missing.
     """
     dataset = run.dataset
-    if not (masks := variant_root(dataset.root, NO_GLASS) / EDIT_MASKS_FOLDER).is_dir():
-        raise HyalineError(f"{masks}: missing; make them with `datagen add {dataset.root} --edit {NO_GLASS}`")
+    glass_masks(dataset)  # Needed for every split.
     wanted = protocol.variant_splits(dataset.config.scene)
     found = {
         name: run_of_variant(run, open_variant(dataset, name)) if has_variant(dataset, name) else None

@@ -56,8 +56,8 @@ class FitChoices:
     there. 0: masks are exact. Default: 5 for imported or captured masks, otherwise 0."""
     steps: int = 800
     """Training steps for the room's textures."""
-    skip: tuple[Literal["grid", "search", "again"], ...] = ()
-    """Skip a stage: grid (then all glass is solid), search, or again. May be repeated."""
+    skip: tuple[Literal["grid", "search", "refine"], ...] = ()
+    """Skip a stage: grid (then all glass is solid), search, or refine. May be repeated."""
     room: Literal["known", "matt"] = "known"
     """Materials of everything but glass: known, or assumed to be diffuse (matt)."""
     seed: int = 0

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import scipy.stats
 from support.builds import tree
 from support.commands import call, run
 from support.synthetic import look_at
@@ -29,8 +28,8 @@ from datagen.scene.edits import parse_edit
 from eval.score.runs import Run, open_run
 from hyaline_bench.cli import UNFITTED
 from hyaline_bench.floors import nearest_view
-from hyaline_bench.leaderboard import check_comparable, mean_interval, summarise
-from hyaline_bench.protocol import ALL, EDITS, GLASS, Bootstrap, Protocol, choose_track, load_protocol
+from hyaline_bench.leaderboard import check_comparable, summarise
+from hyaline_bench.protocol import ALL, EDITS, GLASS, Protocol, choose_track, load_protocol
 from hyaline_bench.score import read_scored
 from model.run.sweep import Experiment, read_experiment
 
@@ -287,16 +286,6 @@ def test_the_nearest_view_is_chosen_by_cameras_alone() -> None:
     pair = Cameras(world_from_camera=turned, fov_x=1.0, width=4, height=4)
     asked = Cameras(world_from_camera=turned[1:], fov_x=1.0, width=4, height=4)
     assert nearest_view(pictures[:2], pair, asked)[0, 0, 0, 0] == 1
-
-
-def test_the_interval_is_that_of_scipys_percentile_bootstrap() -> None:
-    values = np.random.default_rng(1).normal(30, 3, 22)
-    found = mean_interval(values, Bootstrap(resamples=20_000, seed=0, confidence=0.95))
-    theirs = scipy.stats.bootstrap(
-        (values,), np.mean, method="percentile", n_resamples=20_000, rng=np.random.default_rng(5)
-    ).confidence_interval
-    assert mean_interval(values[:1], Bootstrap(resamples=20, seed=0, confidence=0.95)) is None
-    assert found == pytest.approx((theirs.low, theirs.high), abs=0.03)  # Resampling alone spreads by 0.01.
 
 
 # The protocol, which names what `datagen` makes, and its sweep

@@ -4,7 +4,7 @@ room      textures of everything known, learned from pixels that surely do not s
 outside   each object's outside, from masks
 grid      solid or vessel, wall and floor, by drawing every cell of a grid through the room's textures
 search    one number after the other, in brackets that narrow
-again     the textures once more, from all pixels with the glass that was found, then a search once more
+refine    the textures once more, from all pixels with the glass that was found, then a search once more
 
 FIT/fit.json         sealed, written first: what was asked; in the end the objects that were found
 FIT/STAGE.pt         what a stage found, with the digest of what it was found from
@@ -71,7 +71,7 @@ MATT = Diffuse(color=(0.5, 0.5, 0.5))
 UP = np.array([0.0, 0.0, 1.0])
 ENLARGED, SHOWN_VIEWS, AMPLIFIED = 3, 4, 4
 """In pictures of stages: width of a pixel, views, and factor on differences."""
-STAGES = ("room", "outside", "grid", "search", "textures", "again")
+STAGES = ("room", "outside", "grid", "search", "textures", "refine")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -221,10 +221,10 @@ class _Work:
             found = self._stage("grid", found, lambda: self._scan(textures, found))
         if "search" not in skip:
             found = self._stage("search", found, lambda: self._search("search", textures, found, range(ROUNDS)))
-        if "again" not in skip:
+        if "refine" not in skip:
             textures = self.folder.stage("textures", digest(found), lambda: self._learn_again(found))
             last = range(ROUNDS, ROUNDS + LAST_ROUNDS)
-            found = self._stage("again", found, lambda: self._search("again", textures, found, last))
+            found = self._stage("refine", found, lambda: self._search("refine", textures, found, last))
         return found
 
     def _stage(self, name: str, before: Objects, make: Callable[[], Objects]) -> Objects:
