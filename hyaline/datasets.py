@@ -23,7 +23,7 @@ from datagen.quantities import LightEnds as LightEnds
 from datagen.quantities import ViewQuantities as ViewQuantities
 from datagen.quantities import peeler_of
 from datagen.quantities import quantities as quantities
-from datagen.terminal.command import choose, say_all
+from datagen.terminal.command import choose
 from datagen.terminal.parsing import flags_of
 from datagen.terminal.plugins import naming_parts
 from hyaline.scenes import Hemisphere, Scene
@@ -121,7 +121,7 @@ def build(
     Raises:
         HyalineError: a scene that would render wrong, a setting out of range, or something else in `folder`.
     """
-    from datagen.builder.build import build_dataset, summary
+    from datagen.builder.build import build_dataset
     from datagen.builder.choices import SizeChoices, configure, fit_to_scene
     from datagen.scene.finding import find_scene
 
@@ -134,7 +134,7 @@ def build(
     config = configure(preset, chosen, seed=seed)
     own = scene.described() if isinstance(scene, Scene) else None
     described = own or find_scene(str(scene), resolution=config.resolution)
-    made = build_dataset(
+    return build_dataset(
         described,
         Path(folder or DATA_ROOT / described.name),
         fit_to_scene(config, described, chosen),
@@ -142,8 +142,6 @@ def build(
         workers=workers,
         overwrite=overwrite,
     )
-    say_all(summary(made, TRUTH))
-    return made
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

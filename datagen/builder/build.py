@@ -30,7 +30,7 @@ from datagen.machine.processes import in_workers
 from datagen.scene.description import CameraList, Scene
 from datagen.scene.folder import open_scene, scene_files
 from datagen.scene.rig import cameras_within, make_cameras
-from datagen.terminal.command import say, this_command, track
+from datagen.terminal.command import say, say_all, this_command, track
 
 Task = tuple[Split, int]
 
@@ -144,6 +144,8 @@ def build_dataset(
     made += peel_dataset(dataset, TRUTH, num_layers=num_layers, overwrite=False, workers=workers, shard=shard)
     if not made:
         say(f"{root}: is built already; nothing to do")
+    elif shard is None:
+        say_all(summary(dataset, TRUTH))
     return dataset
 
 

@@ -100,7 +100,6 @@ def _build_scene(
     peel_variants(made, workers=choices.workers)
     if choices.stereo is not None:
         build_variant(made, plan_stereo(made, choices.stereo), workers=choices.workers)
-    say_all(summary(made, TRUTH))
     return made
 
 
