@@ -43,6 +43,8 @@ MEETS_GLASS = "changed_psnr_db"
 PAIRS = (
     ("paper", "dnr"),
     ("paper", "mlp-first"),
+    ("dnr-layers", "dnr"),
+    ("paper", "dnr-layers"),
     ("mlp-first", "dnr"),
     ("paper-best", "paper"),
     ("light-path", "paper-best"),
