@@ -21,7 +21,7 @@ from hyaline_photos.fit.fit import FitFolder
 from hyaline_photos.fit.found import FoundGlass, write_geometry
 from hyaline_photos.fit.hull import HullShape
 
-FIT = "--unknown ball --steps 2 --skip grid --skip again"
+FIT = "--unknown ball --steps 2 --skip grid --skip refine"
 
 
 def done(words: str) -> str:
@@ -72,7 +72,7 @@ def test_other_commands_take_the_geometry_and_runs_record_what_it_did_not_find(
     dataset: Dataset, fitted: Path, tmp_path: Path
 ) -> None:
     assert fitted.is_dir()
-    skipped = "--unknown ball --steps 2 --skip grid --skip search --skip again"
+    skipped = "--unknown ball --steps 2 --skip grid --skip search --skip refine"
     done(f"model fit {dataset.root} {skipped} --room matt --name fitted-matt --out {tmp_path / 'fit'}")
     assert {"fitted", "fitted-matt"} <= set(list_geometries(dataset))
     glass = [item.name for item in dataset.objects if item.is_glass and item.name != "ball"]
