@@ -114,7 +114,7 @@ def compare_with_cycles(
 
 
 def _file_to_import(file: Path, imported: Imported, low: np.ndarray, high: np.ndarray) -> dict[str, Json]:
-    """What Blender is told of a file, so that it lies where hyaline has it, between two corners in metres."""
+    """How Blender imports a file to where hyaline places it; `low` and `high` are corners of its box in metres."""
     scale = cast(float, imported.record["scale"])
     turned = z_up_from(cast(Axis, imported.record["up"])) @ z_up_from(READ_BY_BLENDER[file.suffix.lower()]).T
     base = [*((low + high) / 2)[:2], low[2]]

@@ -65,7 +65,7 @@ class SizeChoices:
     """Render each test view until its noise ceiling reaches this many dB, instead of a fixed number of samples."""
     num_layers: int = 8
     """Layers stored per ray; the share of rays with more layers is reported."""
-    max_depth: int = 100
+    max_depth: int = DatasetConfig.max_depth
     """Maximum number of segments in a light path. Fewer darken the rims of clear glass."""
 
 

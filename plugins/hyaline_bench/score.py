@@ -115,7 +115,7 @@ def list_parts(run: Run, protocol: Protocol) -> list[Part]:
         HyalineError: a split that the protocol asks for is missing.
     """
     dataset = run.dataset
-    glass_masks(dataset)  # Needed for every split.
+    glass_masks(dataset)  # Raises if they are missing.
     wanted = protocol.variant_splits(dataset.config.scene)
     found = {
         name: run_of_variant(run, open_variant(dataset, name)) if has_variant(dataset, name) else None
