@@ -52,8 +52,8 @@ class LightPathConfig(MethodConfig):
     render_samples: int = choice(RENDER_SAMPLES, "{}-render-rays", flag="render-rays")
     """Rays per pixel while rendering, a square number."""
     refined_samples: int = choice(0, "{}-refined-rays", flag="refined-rays")
-    """Further rays per pixel, a square number, for pixels whose rays differ (rough metal, edges, glass). No pixel is
-    refined if this is at most --render-rays. 0: 64, or --render-rays if that is not 16."""
+    """Further rays per pixel, a square number, where rays differ (edges, glass), and four times as many again where
+    these do, too; none if this is at most --render-rays. 0: 64, or --render-rays if that is not 16."""
     branches: int = choice(12, "{}-branches", limits=(1, 64))
     """Branches traced per ray: the refracted one, the first reflection, then those that carry most light."""
     stack_hidden: int = choice(32, "stack{}", flag="stack", limits=(0, 4096))
@@ -112,6 +112,12 @@ class LightPathConfig(MethodConfig):
     def needs_details(self) -> bool:
         """True if the ends of paths need a mirrored direction and a slope of uv."""
         return self.relief or self.directions
+
+    @property
+    def passes(self) -> tuple[int, ...]:
+        """Rays per pixel of each pass of rendering; after the first, only pixels whose rays differ are drawn again."""
+        refined = self.refined_samples
+        return (self.render_samples, refined, 4 * refined) if refined > self.render_samples else (self.render_samples,)
 
     @property
     def seen_straight(self) -> int:

@@ -110,9 +110,8 @@ class LightPathPixels(TracedPixels[LightPathBatch]):
         """Pixels rendered at once."""
         return max(1, MANY_RAYS // self.config.render_samples)
 
-    def refined(self) -> "LightPathPixels":
-        """The same pixels with `refined_samples` rays each."""
-        samples = self.config.refined_samples
+    def with_rays(self, samples: int) -> "LightPathPixels":
+        """The same pixels, rendered with so many rays each."""
         return dataclasses.replace(self, config=dataclasses.replace(self.config, render_samples=samples))
 
     def take(self, index: Int[Tensor, "*pixel"], rng: np.random.Generator | None) -> LightPathBatch:

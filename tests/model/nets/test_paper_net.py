@@ -61,7 +61,7 @@ def test_spherical_harmonics_equal_scipy() -> None:
         value = sph_harm_y(degree, abs(order), theta, phi) * (-1) ** order  # Without the Condon-Shortley phase.
         return value.real if order == 0 else np.sqrt(2) * (value.imag if order < 0 else value.real)
 
-    orders = [(0, 0), (1, -1), (1, 0), (1, 1), (2, -2), (2, -1), (2, 0), (2, 1), (2, 2)]
+    orders = [(degree, order) for degree in range(3) for order in range(-degree, degree + 1)]
     expected = np.stack([real(*order) for order in orders], axis=1)
     np.testing.assert_allclose(spherical_harmonics(torch.from_numpy(direction).float()).numpy(), expected, atol=1e-6)
 
