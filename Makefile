@@ -52,7 +52,7 @@ demo: setup
 	$(BIN)/model export demo/light-path-400-steps --out runs/demo/light-path-400-steps/scene.html --overwrite
 	$(BIN)/report
 
-# The first seed of README's table, at 128 x 128 pixels: 18 to 24 CPU minutes.
+# The first seed of README's table, at 128 x 128 pixels, and README's picture of it: 20 to 30 CPU minutes.
 table: setup
 	$(BIN)/datagen build glass_table
 	$(BIN)/proxies make glass_table --kind ellipsoid
@@ -61,6 +61,7 @@ table: setup
 	$(BIN)/model train paper glass_table --geometry ellipsoid
 	$(BIN)/model train light-path glass_table
 	$(BIN)/report
+	$(BIN)/python docs/demo.py data/glass_table runs/glass_table docs/demo.webp
 
 test: dev
 	$(BIN)/ruff check .
