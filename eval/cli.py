@@ -6,10 +6,9 @@ here, and the word `report` may or may not be there.
 
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 from datagen.terminal.command import run
-from eval.tables.plugins import TABLES
 
 Format = Literal["table", "markdown"]
 
@@ -22,7 +21,7 @@ def report(
     dataset: str | None = None,
     format: Format = "table",  # noqa: A002  The flag's name; the builtin is not needed here.
     out: Path | None = None,
-    table: tuple[Annotated[str, TABLES.names], ...] = (),
+    table: tuple[str, ...] = (),
     json: bool = False,
 ) -> None:
     """Score predicted images against a dataset's ground truth, and write a page about all runs.
@@ -38,8 +37,9 @@ def report(
         format: Format of the tables on stdout.
         out: Folder for index.html and results.json. Default: RUNS/report, with --dataset
             RUNS/report-NAME.
-        table: Print only one table: the paper's table1 (extrinsics) or table2 (DNR), square (layers or network), larger
-            (pictures), deepvoxels, claims, or errors (by what pixels show). May be repeated; goes with --json, too.
+        table: Print only this table, beside the paper's numbers: table1 (extrinsics), table2 (DNR), square (layers or
+            network), deepvoxels, larger (pictures) or claims, whose runs `model sweep` trains; or errors (by what
+            pixels show). May be repeated. With --json, these tables are part of the results.
         json: Print the results as JSON, as in results.json, instead of tables.
     """
     output_format = "json" if json else format

@@ -217,7 +217,7 @@ CELLS_OF_A_CHART = {"box": 2, "ellipsoid": 32}
 
 
 def test_boxes_of_objects_on_one_floor_have_no_two_sides_in_one_plane() -> None:
-    cube = (2 * np.indices((2, 2, 2)).reshape(3, 8).T - 1) * [1, 1, flatness]
+    cube = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1]), axis=-1).reshape(-1, 3)
     truths = tuple(cloud_mesh(cube * 0.5 + [x, 0, z]) for x in (0, 0.5, 1.0) for z in (0, 0.5))
     solids = tuple(make_solid(truth) for truth in truths)
     meshes = FITTERS["box"](solids, paddings(solids))
@@ -229,7 +229,7 @@ def test_boxes_of_objects_on_one_floor_have_no_two_sides_in_one_plane() -> None:
 
 
 def test_statistics_of_a_box_in_a_box_are_the_analytic_ones() -> None:
-    cube = (2 * np.indices((2, 2, 2)).reshape(3, 8).T - 1) * [1, 1, flatness]
+    cube = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1]), axis=-1).reshape(-1, 3).astype(float)
     truth = box.fit_box(make_solid(cloud_mesh(cube)), padding=0)
     proxy = box.fit_box(make_solid(cloud_mesh(cube)), padding=0.1)
     numbers = solid.proxy_statistics(proxy, truth, make_solid(truth))
