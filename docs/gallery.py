@@ -10,7 +10,7 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Shaped
 from PIL import Image, ImageDraw
 
 from datagen.data.dataset import Dataset, Split, open_dataset
@@ -51,19 +51,29 @@ def draw_scene(dataset: Dataset, run: Path, title: str) -> tuple[Image.Image, st
     row = (
         f"| {title} | {_decibels(total):.1f} | {min(1.0, np.mean(noise) / total):.0%} | {', '.join(share.values())} | |"
     )
-    return _panel(worst[1], f"{title}: {_decibels(worst[0]):.1f} dB"), row
+    return panel(worst[1], f"{title}: {_decibels(worst[0]):.1f} dB", 3 * PANEL), row
 
 
 def _decibels(square: float) -> float:
     return 10 * np.log10(255**2 / square)
 
 
-def _panel(pictures: Float[np.ndarray, "h w 3"], caption: str) -> Image.Image:
-    picture = Image.fromarray(pictures.astype(np.uint8))
-    picture = picture.resize((3 * PANEL, 3 * PANEL * picture.height // picture.width), Image.Resampling.NEAREST)
-    page = Image.new("RGB", (picture.width, picture.height + 20), "white")
-    page.paste(picture, (0, 20))
+def panel(picture: Shaped[np.ndarray, "h w 3"], caption: str, width: int) -> Image.Image:
+    """A picture of this width in pixels, with sharp texels, below its caption."""
+    drawn = Image.fromarray(picture.astype(np.uint8))
+    drawn = drawn.resize((width, width * drawn.height // drawn.width), Image.Resampling.NEAREST)
+    page = Image.new("RGB", (drawn.width, drawn.height + 20), "white")
+    page.paste(drawn, (0, 20))
     ImageDraw.Draw(page).text((4, 4), caption, fill="black", font_size=13)
+    return page
+
+
+def sheet(panels: list[Image.Image], columns: int) -> Image.Image:
+    """Panels of one size, row by row."""
+    width, height = panels[0].size
+    page = Image.new("RGB", (columns * (width + 12) - 12, -(-len(panels) // columns) * (height + 8)), "white")
+    for place, each in enumerate(panels):
+        page.paste(each, (place % columns * (width + 12), place // columns * (height + 8)))
     return page
 
 
@@ -72,14 +82,10 @@ def main() -> None:
     data, runs, out, *names = sys.argv[1:]
     panels = []
     for name in names:
-        panel, row = draw_scene(open_dataset(Path(data) / name), Path(runs) / name / RUN, name.removesuffix("-small"))
-        panels.append(panel)
+        drawn, row = draw_scene(open_dataset(Path(data) / name), Path(runs) / name / RUN, name.removesuffix("-small"))
+        panels.append(drawn)
         print(row)
-    width, height = panels[0].size
-    page = Image.new("RGB", (2 * width + 12, -(-len(panels) // 2) * (height + 8)), "white")
-    for place, panel in enumerate(panels):
-        page.paste(panel, (place % 2 * (width + 12), place // 2 * (height + 8)))
-    page.save(out, quality=80)
+    sheet(panels, columns=2).save(out, quality=80)
 
 
 if __name__ == "__main__":

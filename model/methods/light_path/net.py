@@ -277,9 +277,8 @@ class _Mlp(nn.Sequential):
 
 
 MOST_DOUBT = 2.5 / 255
-"""Standard error of a pixel's sRGB colour above which it gets more rays. Held-out training views of the glass table at
-64 x 64, all pixels and glass, have 36.85 / 37.10 dB; above 2 / 255 36.90 / 37.16, in 1.5 times the time; with 272 rays
-for all pixels 36.92 / 37.17, in 2.8 times; in two passes, above 3 / 255, 36.71 / 36.83, in 0.4 times."""
+"""Standard error of a pixel's sRGB colour above which it gets more rays. Held-out training views of the glass table
+gain 0.05 dB above 2 / 255, in 1.5 times the time, and 0.07 with 272 rays for all pixels, in 2.8 (notes/speed.md)."""
 
 ROUND_NUMBER = 256
 """Batches of pixels are padded to a multiple of this: a tracer records a kernel for each number of rays."""
@@ -295,15 +294,16 @@ def draw_refined(
     mean = torch.zeros(len(index), 3, device=pixels.rgb.device)
     again, drawn = torch.arange(len(index)), 0
     for samples in pixels.config.passes:
-        source, doubts = pixels.with_rays(samples), []
-        drawn += samples
         # Dr.Jit 1.5 aborts the process when it traces no rays, and an empty tensor splits into one empty part.
-        for part in again.split(source.chunk) if len(again) else ():
+        if not len(again):
+            break
+        source, doubts, drawn = pixels.with_rays(samples), [], drawn + samples
+        for part in again.split(source.chunk):
             filled = torch.cat([part, part[:1].expand(-len(part) % ROUND_NUMBER)])
             radiance = radiance_of(source.take(index[filled], None))[: len(part)]
             mean[part] = torch.lerp(mean[part], radiance.mean(dim=1), samples / drawn)
             doubts.append(is_doubtful(radiance).cpu())
-        again = again[torch.cat(doubts)] if doubts else again
+        again = again[torch.cat(doubts)]
     return srgb_curve(mean)
 
 

@@ -111,7 +111,7 @@ class LightPathPixels(TracedPixels[LightPathBatch]):
         return max(1, MANY_RAYS // self.config.render_samples)
 
     def with_rays(self, samples: int) -> "LightPathPixels":
-        """The same pixels, rendered with so many rays each."""
+        """The same pixels, rendered with this many rays each."""
         return dataclasses.replace(self, config=dataclasses.replace(self.config, render_samples=samples))
 
     def take(self, index: Int[Tensor, "*pixel"], rng: np.random.Generator | None) -> LightPathBatch:
