@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 from datagen.builder.choices import AddChoices, BuildChoices, FilmChoices, ShardChoices, SizeChoices
-from datagen.data.paths import BUILD, BUILT_IN_SCENES, TRUTH, find_dataset, train_command
+from datagen.data.paths import BUILD, BUILT_IN_SCENES, TRUTH, Geometry, find_dataset, train_command
 from datagen.disk.errors import UsageError
 from datagen.scene.finding import ImportChoices, list_families
 from datagen.terminal.command import fail, next_command, run, say, say_all, tell
@@ -77,7 +77,7 @@ def peel(
     dataset: str | None = None,
     /,
     *,
-    geometry: str = TRUTH,
+    geometry: Geometry = TRUTH,
     num_layers: int | None = None,
     workers: int = 1,
     overwrite: bool = False,

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-from datagen.data.paths import TRUTH
+from datagen.data.paths import TRUTH, Geometry
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json, from_json
 from datagen.terminal.parsing import changed_fields
@@ -133,8 +133,8 @@ RUNS = Path("runs")
 class RunFlags:
     """What a run trains on, where it is stored, and where it is computed."""
 
-    geometry: str = choice(TRUTH)
-    """Whose layers to look up: truth, or a kind of proxy such as box."""
+    geometry: Geometry = choice(TRUTH)
+    """Whose layers to look up: truth, a kind of proxy, or what `proxies make --name` or `model fit --name` made."""
     out: Path | None = choice(None)
     """Folder of the run. Default: runs/SCENE/METHOD, with a suffix for each choice that is not the default."""
     label: str | None = choice(None)

@@ -49,7 +49,6 @@ class ProxyRecord:
 
     object: str
     file: str
-    """meshes/NAME.ply, relative to the folder of the proxies."""
     sha256: str
     statistics: ProxyStatistics | None
     """None for fitted glass, which is made where the truth is not known."""

@@ -3,7 +3,7 @@
 import re
 import shlex
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Annotated, Literal, get_args
 
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import check_name
@@ -19,7 +19,7 @@ MIXED = "mixed"
 
 ProxyKind = Literal["box", "ellipsoid", "hull", "wrap"]
 PROXY_KINDS: tuple[ProxyKind, ...] = get_args(ProxyKind)
-"""All kinds of proxies, which name geometries."""
+Geometry = Annotated[str, lambda: (TRUTH, *PROXY_KINDS, MIXED, FITTED)]  # Help lists these; others begin with one.
 
 
 def is_fitted(geometry: str) -> bool:
