@@ -143,7 +143,7 @@ def report(
     errors: list[HyalineError] = []
     scored = score_runs(opened, errors, others, command="hyaline.report")
     for error in errors[:-1] if scored is None else errors:
-        say(f"error: {error}")
+        say(f"error: {error}", is_error=True)
     if scored is None:
         raise errors[-1]
     return Report(page=write_page(scored, place), scored=scored)

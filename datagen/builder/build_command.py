@@ -59,7 +59,7 @@ def build_scenes(
         except UsageError:
             raise
         except HyalineError as error:
-            say(f"failed: {name}: {error}")
+            say(f"failed: {name}: {error}", is_error=True)
             failed += 1
     if failed:
         raise HyalineError(

@@ -124,12 +124,9 @@ class _Search:
                     files[path.relative_to(self.root).as_posix()] = digest
                 else:
                     self.problems[path] = "damaged or edited (checksum differs)"
-        remarks = []
-        if withheld:
-            remarks.append(f"{self.root}: a verifier keeps the pictures of its {withheld} test views")
-        return Findings(
-            files=files, problems=[f"{path}: {what}" for path, what in self.problems.items()], remarks=remarks
-        )
+        remarks = [f"{self.root}: a verifier keeps the pictures of its {withheld} test views"] if withheld else []
+        problems = [f"{path}: {what}" for path, what in self.problems.items()]
+        return Findings(files=files, problems=problems, remarks=remarks)
 
 
 def _obstacle(root: Path, path: Path) -> tuple[Path, str] | None:
@@ -144,6 +141,8 @@ def _obstacle(root: Path, path: Path) -> tuple[Path, str] | None:
             return place, f"the {what} is missing"
         if not is_right(mode):
             return place, f"is {'a link' if stat.S_ISLNK(mode) else 'in the way'}; expected a {what}"
+        if not os.access(place, os.R_OK):
+            return place, f"permission to read the {what} is denied"
     return None
 
 

@@ -71,7 +71,8 @@ def mask_pixels(picture: Image.Image) -> Bool[np.ndarray, "h w"]:
         return np.asarray(picture) > 0x7FFF
     if picture.has_transparency_data and (alpha := np.asarray(picture.convert("RGBA"))[..., 3]).min() < 128:
         return alpha > 127
-    return np.asarray(picture.convert("RGB")).max(axis=-1) > 127
+    brightest = np.asarray(picture.convert("RGB")).max(axis=-1)
+    return brightest > (0 if brightest.max() == 1 else 127)  # Labels are 0 and 1.
 
 
 def png_bytes(image: UInt8[np.ndarray, "h w *c"] | UInt16[np.ndarray, "h w"]) -> bytes:

@@ -85,7 +85,7 @@ def begin(root: Path, kind: FolderKind, head: dict[str, Json], *, replace: bool 
 
 def refuse_others(root: Path, kind: FolderKind) -> None:
     """Refuses a folder that is neither ours nor empty, before work is done for it; the error names a file in it."""
-    foreign = _first_foreign(root)
+    foreign = root.name if root.is_file() else _first_foreign(root)
     if foreign is None or is_ours(root, kind):
         return
     if os.path.lexists(root / kind.head):

@@ -20,7 +20,7 @@ from pathlib import Path
 import msgspec
 
 from datagen.disk.errors import DamagedError, HyalineError, as_hyaline_error, shown
-from datagen.disk.storage import MAKE_AGAIN, commit, read_regular
+from datagen.disk.storage import commit, read_regular
 
 if typing.TYPE_CHECKING:
     Json = typing.Union[None, bool, int, float, str, list["Json"], dict[str, "Json"]]  # noqa: UP007
@@ -217,12 +217,12 @@ def commit_sealed(path: Path, data: dict[str, Json]) -> None:
 def load_sealed(path: Path) -> dict[str, Json]:
     """The content of a sealed JSON file, without its seal; a DamagedError if any byte differs from what was sealed."""
     if path.is_symlink():
-        raise DamagedError(f"{path}: is a link; expected the file itself; {MAKE_AGAIN}")
+        raise DamagedError(f"{path}: is a link; expected the file itself")
     text = read_regular(path, at_most=MAX_JSON_BYTES)
     data = parse_json(text, where=str(path))
     data.pop(SEAL, None)
     if text != seal_bytes(data):
-        raise DamagedError(f"{path}: does not match its own checksum, was damaged or edited; {MAKE_AGAIN}")
+        raise DamagedError(f"{path}: does not match its own checksum, was damaged or edited; restore or remake it")
     return data
 
 

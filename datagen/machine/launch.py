@@ -78,7 +78,7 @@ def _error_of(job: "submitit.Job[int]") -> str:
 def raise_failures(where: str, failures: Mapping[str, str], total: int) -> None:
     """Reports jobs that did not finish, and raises a HyalineError if there are any."""
     for name, reason in failures.items():
-        say(f"failed: {name}: {reason}")
+        say(f"failed: {name}: {reason}", is_error=True)
     if failures:
         raise HyalineError(
             f"{where}: {len(failures)} of {total} jobs failed (see above); "

@@ -122,9 +122,9 @@ def hush(is_quiet: bool) -> None:
     _is_quiet = is_quiet
 
 
-def say(message: str) -> None:
-    """A line for the person who waits, on stderr."""
-    if not _is_quiet:
+def say(message: str, *, is_error: bool = False) -> None:
+    """A line for the person who waits, on stderr; --quiet leaves errors."""
+    if is_error or not _is_quiet:
         print(printable(message), file=sys.stderr, flush=True)
 
 

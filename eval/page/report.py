@@ -6,6 +6,7 @@ REPORT/index.html      the page (eval/page/page.py)
 """
 
 import dataclasses
+import os
 import shlex
 import shutil
 import sys
@@ -164,7 +165,7 @@ def make_tables(
 
 def _raise_last(errors: Sequence[HyalineError]) -> None:
     for error in errors[:-1]:
-        say(f"error: {error}")
+        say(f"error: {error}", is_error=True)
     if errors:
         raise errors[-1]
 
@@ -219,10 +220,11 @@ def _score_scenes(runs: list[Run], errors: list[HyalineError]) -> list[SceneScor
 
 
 def _with_own_names(runs: list[Run]) -> list[Run]:
-    """The runs of a dataset; where two have one name, their folders' names come before it."""
+    """The runs of a dataset; where two have one name, their paths below the folder that all share instead."""
     counts = Counter(run.name for run in runs)
+    shared = os.path.commonpath([run.folder.absolute().parent for run in runs])
     return [
-        run if counts[run.name] == 1 else dataclasses.replace(run, name=f"{run.folder.parent.name}/{run.name}")
+        run if counts[run.name] == 1 else dataclasses.replace(run, name=os.path.relpath(run.folder, shared))
         for run in runs
     ]
 

@@ -113,30 +113,30 @@ def sample(
     Args:
         lazy: for each table what moves its texels, and gets its gradient instead of autograd; None: autograd.
     """
-    flat_uv, flat_id = uv.flatten(0, 1), object_id.flatten()
+    slots = uv.flatten(0, 1), object_id.flatten()
     # On a GPU such a uv makes the loss NaN; compiled loops would use it as the position of some texel.
-    if flat_uv.device.type == "cpu" and not math.isfinite(flat_uv.detach().sum().item()):
+    if uv.device.type == "cpu" and not math.isfinite(uv.detach().sum().item()):
         raise NumericsError("uv: a layer has one that is not finite; check the data with `datagen verify`")
-    if flat_uv.device.type != "cpu":
-        features = sample_by_bags(tables, flat_uv, flat_id, layouts, scales)
+    if uv.device.type != "cpu":
+        features = sample_by_bags(tables, *slots, layouts, scales)
     else:
-        features = _CompiledSample.apply(
-            flat_uv, flat_id, tuple(layouts), tuple(scales), tuple(lazy) or (None,) * len(tables), *tables
-        )
+        owners = tuple(lazy) or (None,) * len(tables)
+        features = _CompiledSample.apply(*slots, layouts, scales, owners, torch.is_grad_enabled(), *tables)
     return features.view(*object_id.shape, tables[0].shape[1])
 
 
 class _CompiledSample(torch.autograd.Function):
-    """`sample` by the loops of `model.nets.texels`."""
+    """`sample` by the loops of `model.nets.texels`. Gradients are off inside, so `sample` passes `is_training`."""
 
     @staticmethod
     def forward(
         ctx: FunctionCtx,
         uv: Tensor,
         object_id: Tensor,
-        layouts: tuple[TextureLayout, ...],
-        scales: tuple[float, ...],
+        layouts: Sequence[TextureLayout],
+        scales: Sequence[float],
         lazy: tuple[LazyAdam | None, ...],
+        is_training: bool,
         *tables: Tensor,
     ) -> Tensor:
         ctx.save_for_backward(uv, object_id, *tables)
@@ -146,7 +146,7 @@ class _CompiledSample(torch.autograd.Function):
         slots = uv.detach().contiguous().numpy(), object_id.numpy()
         for table, owner, (places, scale) in zip(tables, lazy, ctx.levels, strict=True):  # pyright: ignore[reportAttributeAccessIssue]
             if owner is not None:
-                owner.read(*slots, places, is_training=any(ctx.needs_input_grad))  # pyright: ignore[reportAttributeAccessIssue]
+                owner.read(*slots, places, is_training=is_training)
             add_look_ups(result.numpy(), table.detach().contiguous().numpy(), *slots, places, scale)
         return result
 
@@ -171,7 +171,7 @@ class _CompiledSample(torch.autograd.Function):
             if owner is not None:
                 owner.added += total
         kept = [gradient if owner is None else None for gradient, owner in zip(gradients, lazy, strict=True)]
-        return uv_gradient, None, None, None, None, *kept
+        return uv_gradient, *[None] * 5, *kept
 
 
 @functools.cache

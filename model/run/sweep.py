@@ -32,8 +32,9 @@ from pathlib import Path
 from typing import Annotated
 
 from datagen.builder.choices import LaunchChoices
+from datagen.data.paths import find_dataset, list_datasets
 from datagen.disk.errors import DamagedError, HyalineError, shown
-from datagen.disk.storage import read_regular
+from datagen.disk.storage import read_regular, real_path
 from datagen.machine.launch import own_command, raise_failures, run_in_jobs
 from datagen.terminal.command import choose, next_command, say, tell
 from model.methods.protocol import METHODS
@@ -152,9 +153,10 @@ def _parsed(words: tuple[str, ...], where: str) -> tuple[str, Path]:
     choose(f"{where}: method", method, METHODS.names())
     try:
         asked = parse_train(method, tuple(flags))
+        made = None if list_datasets() else "glass_table"  # It will be, by default.
+        dataset = real_path(find_dataset(asked.dataset or made)).name
     except HyalineError as error:
         raise HyalineError(f"{where}: {error}") from None
-    dataset = Path(asked.dataset or "glass_table").name
     return repr((method, asked)), asked.run.out or RUNS / dataset / folder_name(method, asked)
 
 

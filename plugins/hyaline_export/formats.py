@@ -3,6 +3,7 @@
 import contextlib
 import os
 import secrets
+import shlex
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -51,7 +52,7 @@ def export_dataset(dataset: Dataset, form: str, out: Path | None, *, num_points:
     say(f"{out}: {len(source.views)} views; {roles}; licence: {dataset.license}")
     if dataset.withheld:
         say(f"{out}: the test pictures are grey, since a verifier keeps the true ones; never train on them")
-    return out, chosen.hint.replace("OUT", str(out))
+    return out, chosen.hint.replace("OUT", shlex.quote(str(out)))
 
 
 @contextlib.contextmanager

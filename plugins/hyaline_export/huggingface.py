@@ -112,4 +112,6 @@ def _card(source: Source, groups: dict[str, list[ExportView]]) -> str:
     )
 
 
-HUGGING_FACE = Format(files=_hugging_face, hint="python -c \"import datasets; print(datasets.load_dataset('OUT'))\"")
+HUGGING_FACE = Format(
+    files=_hugging_face, hint='python -c "import datasets, sys; print(datasets.load_dataset(sys.argv[1]))" OUT'
+)

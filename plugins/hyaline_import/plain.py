@@ -275,7 +275,7 @@ def lines_of(data: bytes, *, where: str) -> list[str]:
     if b"\0" in data:
         raise HyalineError(f"{where}: holds zero bytes; expected text")
     try:
-        text = data.decode()
+        text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = data.decode("latin-1")
     # A comment may end in a backslash, as folders of Windows do.

@@ -40,7 +40,7 @@ class ForeignView:
 
     picture: Path
     mask: Path | None
-    """Not black where the object is seen."""
+    """White, or 1 of 255, where the object is seen."""
     world_from_camera: Float[np.ndarray, "4 4"]
     """OpenGL convention, in the folder's units and axes."""
 

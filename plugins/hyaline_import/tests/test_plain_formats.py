@@ -238,7 +238,7 @@ def test_a_tiff_is_read_as_a_texture(compression: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
 def test_a_comment_that_ends_in_a_backslash_leaves_the_next_line_as_it_is(end: str, tmp_path: Path) -> None:
-    (tmp_path / "m.mtl").write_bytes(end.join(["newmtl m", " # from C:\\models\\", "Kd 1 0 0", ""]).encode())
+    (tmp_path / "m.mtl").write_bytes(end.join(["newmtl m", " # from C:\\models\\", "Kd 1 0 0", ""]).encode("utf-8-sig"))
     text = f"# saved in C:\\models\\\nmtllib m.mtl\n# by\\\nusemtl m\n{CUBE}".replace("\n", end)
     material = read(tmp_path / "a.obj", text.encode()).objects[0].material
     assert isinstance(material, ForeignMaterial) and material.base_color == (1, 0, 0)

@@ -45,7 +45,7 @@ def test_a_scene_that_fails_is_named_and_does_not_stop_the_others(here: Path) ->
     (here / "many/random-object-0004").mkdir(parents=True)
     (here / "many/random-object-0004/thesis.tex").write_text("precious")
     line = f"datagen build random --family object --seed 3 --count 3 {SIZE} --out many"
-    answer = call(line)
+    answer = call(f"{line} --quiet")
     assert answer.status == 1 and answer.error.startswith("error: 1 of 3 scenes failed (see above)")
     assert "failed: random-object-0004: many/random-object-0004: is not empty (thesis.tex)" in answer.err
     assert all((here / f"many/random-object-000{seed}/dataset.json").is_file() for seed in (3, 5))

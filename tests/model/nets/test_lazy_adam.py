@@ -54,9 +54,8 @@ def learn(textures: NeuralTextures, optimizer: Optimizer, updates: range) -> lis
 def test_texels_move_as_dense_adam_moves_them(beta1: float) -> None:
     (lazy, lazily), (dense, densely) = (learner(is_lazy=is_lazy, beta1=beta1) for is_lazy in (True, False))
     assert learn(lazy, lazily, range(UPDATES)) == pytest.approx(learn(dense, densely, range(UPDATES)), abs=2e-3)
-    uv, object_id = points(3)
     with torch.no_grad():  # Reading alone moves texels to where they are.
-        np.testing.assert_allclose(lazy(uv, object_id), dense(uv, object_id), atol=2e-3)
+        np.testing.assert_allclose(lazy(*points(3)), dense(*points(3)), atol=2e-3)
     behind = (lazy.table - dense.table).abs().max()
     lazily.catch_up()
     error = (lazy.table - dense.table).detach().abs()
@@ -70,6 +69,8 @@ def test_texels_move_as_dense_adam_moves_them(beta1: float) -> None:
 def test_training_goes_on_to_the_bit_from_a_checkpoint_between_updates() -> None:
     whole, optimizer = learner(is_lazy=True, beta1=0.9)
     learn(whole, optimizer, range(60))
+    with torch.inference_mode():  # An evaluation, which asks for no gradient, though the table does.
+        whole(*points(1000))
     again, resumed = learner(is_lazy=True, beta1=0.9)
     again.load_state_dict({name: value.clone() for name, value in whole.state_dict().items()})
     resumed.load_state_dict(optimizer.state_dict())
@@ -85,6 +86,5 @@ def test_training_goes_on_to_the_bit_from_a_checkpoint_between_updates() -> None
 def test_a_gradient_that_is_not_finite_is_seen_before_a_step() -> None:
     textures, _ = learner(is_lazy=True, beta1=0.9)
     assert textures.lazy is not None
-    uv, object_id = points(1)
-    (textures(uv, object_id).sum() * math.nan).backward()
+    (textures(*points(1)).sum() * math.nan).backward()
     assert not textures.lazy.is_finite()

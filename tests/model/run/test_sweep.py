@@ -68,7 +68,7 @@ def test_braces_are_every_combination_in_the_order_of_the_file(tmp_path: Path) -
         ("model train papr", "no method 'papr'; did you mean 'paper'"),
         ("model train", "no method ''"),
         ("model train paper --extrinsic sh", "Unrecognized options: --extrinsic"),
-        ("model train paper --steps {10,many}", "Error parsing --steps"),
+        ("model train paper a --steps {10,many}", "Error parsing --steps"),
         ("model train {paper,light-path} --extrinsics sh", "model train light-path: Unrecognized"),
         ("rm -r data", "no program 'rm'"),
         ("model 'train", 'is "model \'train"; expected a command line'),
