@@ -1,7 +1,7 @@
 """Per-pixel quantities of a view besides colour: depth, normals, masks, materials, glass, refractive flow.
 
 All of them hold for the ray through the pixel's centre, whereas pictures average over a pixel's area. They are computed
-from stored layers of the true geometry, meshes and scene; normals and `light_ends` trace rays, with Mitsuba.
+from stored layers of the true geometry, meshes and scene; normals, amodal masks and `light_ends` trace rays.
 
 World axes are the dataset's: metres, +z up. Camera axes are OpenGL's: +x right, +y up, +z towards the viewer (the
 camera looks along -z).
@@ -242,9 +242,18 @@ class ViewQuantities:
 
     @checked
     def object_mask(self, name: str, *, amodal: bool = False) -> Bool[np.ndarray, "h w"]:
-        """True where the ray hits the object of this name first; amodal: at all, in any stored layer."""
-        hits = self.layers.object_id == self.view.dataset.object_id(name)
-        return hits.any(axis=0) if amodal else hits[0]
+        """True where the ray hits the object of this name first; amodal: at all, traced with Mitsuba."""
+        number = self.view.dataset.object_id(name)
+        mesh = self.surfaces.meshes[number - 1]
+        if not amodal or not is_there(mesh):
+            return self.object_id == number
+        with naming_parts("amodal masks"):
+            use_mitsuba()
+        from datagen.trace.peel import Peeler
+
+        origin, directions = self._rays
+        hits = Peeler((mesh,)).trace(origin, directions.reshape(-1, 3), 1)
+        return (hits.shape[0] >= 0).reshape(self.object_id.shape)
 
     # Where they are
 

@@ -138,7 +138,7 @@ class RunFlags:
     out: Path | None = choice(None)
     """Folder of the run. Default: runs/SCENE/METHOD, with a suffix for each choice that is not the default."""
     label: str | None = choice(None)
-    """Label of the run on its page; tables of scores have the folder's name, the default."""
+    """Label of the run on its page. Default: the name of its folder, which tables of scores always show."""
     seed: int = choice(0, "seed{}", limits=SEED)
     """Seed of all random numbers."""
     device: Device = choice("auto")

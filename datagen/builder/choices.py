@@ -148,7 +148,7 @@ class FilmChoices:
     path: Literal["orbit", "spline"] = "orbit"
     """The camera's path: around the scene, or through the interpolating test views."""
     out: Path | None = None
-    """File to write: .webp, or .mp4 (needs the extra `video`). Default: DATASET-RUN.webp, or DATASET-truth.webp."""
+    """File to write: .webp, or .mp4 (extra `video`). Default: DATASET-truth.webp; of runs DATASET-RUN.webp."""
     frames: int = 48
     """Number of pictures."""
     fps: float = 24.0

@@ -115,7 +115,7 @@ def plan_stereo(base: Dataset, baseline: float) -> Plan:
     """
     _check_base(base)
     if not 0 < baseline <= MAX_BASELINE:
-        raise HyalineError(f"stereo: is {baseline:g}; expected metres, more than 0 and at most {MAX_BASELINE:g}: 0.06")
+        raise HyalineError(f"--stereo: is {baseline:g}; expected more than 0 and at most {MAX_BASELINE:g} metres")
     shift = np.eye(4)
     shift[0, 3] = baseline
     right: dict[Split, Cameras] = {split: base.cameras(split) for split in SPLITS}

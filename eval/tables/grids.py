@@ -96,7 +96,7 @@ def _narrowed(grid: Grid, width: int) -> Grid:
     count = max(1, sum(end < width for end in ends))
     if count == len(ends):
         return grid
-    note = f"{len(ends) - count} columns left out: the terminal is {width} wide. The page has them, as has --json."
+    note = f"{len(ends) - count} columns left out: the terminal is {width} wide. --json has them."
     rows = tuple(row[:count] for row in grid.rows)
     return dataclasses.replace(grid, columns=grid.columns[:count], rows=rows, notes=(*grid.notes, note))
 

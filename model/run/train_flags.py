@@ -187,5 +187,5 @@ def configure(method: str, asked: Asked, opened: "Dataset") -> "TrainConfig":
 
         config = dataclasses.replace(config, loss=find_vgg(config.loss))
     elif ("vgg-weights", NO_VGG) in flags_asked(asked).items():
-        say(f"{method}: learns by L1 alone, without the paper's perceptual loss; if its weights are missing, {FETCH}")
+        say(f"{method}: learns by L1 alone, without the paper's perceptual loss; if you lack its weights, {FETCH}")
     return config

@@ -92,7 +92,7 @@ def test_every_view_has_a_right_one_with_noise_of_its_own(made: tuple[Path, dict
             moved = np.linalg.inv(left.camera.world_from_camera) @ other.camera.world_from_camera
             assert np.abs(moved - [[1, 0, 0, 0.06], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]).max() < 1e-12
             assert other.record.seed != left.record.seed and other.layers().object_id.any()
-    with pytest.raises(HyalineError, match="stereo: is 60; expected metres, more than 0 and at most 10"):
+    with pytest.raises(HyalineError, match="--stereo: is 60; expected more than 0 and at most 10 metres"):
         plan_stereo(dataset, 60)
 
 
