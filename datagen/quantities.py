@@ -3,8 +3,7 @@
 All of them hold for the ray through the pixel's centre, whereas pictures average over a pixel's area. They are computed
 from stored layers of the true geometry, meshes and scene; normals, amodal masks and `light_ends` trace rays.
 
-World axes are the dataset's: metres, +z up. Camera axes are OpenGL's: +x right, +y up, +z towards the viewer (the
-camera looks along -z).
+World axes are the dataset's: metres, +z up. Camera axes are OpenGL's: +x right, +y up, +z towards the viewer.
 """
 
 import dataclasses
@@ -244,16 +243,14 @@ class ViewQuantities:
     def object_mask(self, name: str, *, amodal: bool = False) -> Bool[np.ndarray, "h w"]:
         """True where the ray hits the object of this name first; amodal: at all, traced with Mitsuba."""
         number = self.view.dataset.object_id(name)
-        mesh = self.surfaces.meshes[number - 1]
-        if not amodal or not is_there(mesh):
+        if not amodal or not is_there(mesh := self.surfaces.meshes[number - 1]):
             return self.object_id == number
         with naming_parts("amodal masks"):
             use_mitsuba()
-        from datagen.trace.peel import Peeler
-
         origin, directions = self._rays
-        hits = Peeler((mesh,)).trace(origin, directions.reshape(-1, 3), 1)
-        return (hits.shape[0] >= 0).reshape(self.object_id.shape)
+        alone = dataclasses.replace(self.surfaces, meshes=(mesh,)).peeler
+        hits = alone.trace(origin, directions.reshape(-1, 3), 1).shape[0] >= 0
+        return hits.reshape(self.object_id.shape)
 
     # Where they are
 
@@ -366,8 +363,6 @@ class ViewQuantities:
             is_inside[place[ids[layer]], rows, columns] ^= True
             in_front &= self.surfaces.is_glass[ids[layer]]
         return thickness.astype(np.float32)
-
-    # Where its light comes from
 
     @functools.cached_property
     def light_ends(self) -> LightEnds:
