@@ -349,6 +349,15 @@ def errors_table() -> str:
     return table_of(columns, rows, texts=1)
 
 
+def curves_table() -> str:
+    """PSNR of training, held-out and test views by passes over the training pictures."""
+    (grid,) = _read("curves")["tables"]["curves"]
+    ends = {run: f"{float(passes):g}" for run, passes, *_ in grid["rows"]}  # Of a run, the last row stays.
+    rows = [(f"`{re.sub('-[0-9]+-steps$', '', run)}`", ends[run], *cells) for run, *cells in grid["rows"]]
+    columns = ("method", "all passes", "after pass", "training", "held out", "test, inter.", "test, extra.")
+    return table_of(columns, rows, texts=1)
+
+
 def fits_table() -> str:
     """What fitted glass costs on random scenes."""
     rows = []
@@ -404,6 +413,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "verdicts": verdicts_table,
     "tracks": tracks_table,
     "errors": errors_table,
+    "curves": curves_table,
     "fits": fits_table,
     "photographs": photographs_table,
 }
