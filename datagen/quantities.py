@@ -33,7 +33,7 @@ from datagen.trace.surface_tables import Limits
 
 if TYPE_CHECKING:
     from datagen.trace.light_path import LightPathTracer
-    from datagen.trace.peel import Peeler
+    from datagen.trace.peel import Hits, Peeler
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -245,12 +245,8 @@ class ViewQuantities:
         number = self.view.dataset.object_id(name)
         if not amodal or not is_there(mesh := self.surfaces.meshes[number - 1]):
             return self.object_id == number
-        with naming_parts("amodal masks"):
-            use_mitsuba()
-        origin, directions = self._rays
-        alone = dataclasses.replace(self.surfaces, meshes=(mesh,)).peeler
-        hits = alone.trace(origin, directions.reshape(-1, 3), 1).shape[0] >= 0
-        return hits.reshape(self.object_id.shape)
+        alone = self._first_hits(dataclasses.replace(self.surfaces, meshes=(mesh,)), "amodal masks")
+        return (alone.shape[0] >= 0).reshape(self.object_id.shape)
 
     # Where they are
 
@@ -304,11 +300,8 @@ class ViewQuantities:
                 point slightly away from the camera.
             axes: world, or camera (+x right, +y up, +z towards the viewer).
         """
-        with naming_parts("normals"):
-            use_mitsuba()
+        hits = self._first_hits(self.surfaces, "normals")
         normals = np.zeros((*self.object_id.shape, 3))
-        origin, directions = self._rays
-        hits = self.surfaces.peeler.trace(origin, directions.reshape(-1, 3), 1)
         for place, mesh in enumerate(mesh for mesh in self.surfaces.meshes if is_there(mesh)):
             of_mesh = hits.shape[0] == place
             mask = of_mesh.reshape(self.object_id.shape)
@@ -316,7 +309,7 @@ class ViewQuantities:
             found = across = normals_of(mesh.vertices[face])
             if kind == "shading":
                 found = np.einsum("kh,hkc->hc", [1 - b1 - b2, b1, b2], mesh.normals[face].astype(np.float64))
-            side = np.where((across * directions[mask]).sum(axis=-1, keepdims=True) < 0, 1.0, -1.0)
+            side = np.where((across * self._rays[1][mask]).sum(axis=-1, keepdims=True) < 0, 1.0, -1.0)
             normals[mask] = side * found / np.linalg.norm(found, axis=-1, keepdims=True)
         normals = normals.astype(np.float32)
         return normals if axes == "world" else (normals @ self.view.camera.world_from_camera[:3, :3]).astype(np.float32)
@@ -376,6 +369,13 @@ class ViewQuantities:
     @functools.cached_property
     def _rays(self) -> tuple[np.ndarray, np.ndarray]:
         return self.view.camera.rays()
+
+    def _first_hits(self, surfaces: Surfaces, what: str) -> "Hits":
+        """The first of some surfaces that each ray meets; `what` asks for them, should Mitsuba be missing."""
+        with naming_parts(what):
+            use_mitsuba()
+        origin, directions = self._rays
+        return surfaces.peeler.trace(origin, directions.reshape(-1, 3), 1)
 
     def _at_opaque(self, values: np.ndarray) -> np.ndarray:
         """The values of layers at the first opaque one; 0 where there is none."""
