@@ -39,6 +39,8 @@ NEAREST, FARTHEST = 255, 40
 """Grey levels of the nearest and the farthest pixel in a depth picture."""
 PIXELS = 900
 """Longer side of a drawing."""
+DPI = 144
+"""At half the width, as on a phone, texts still have their size."""
 MOST_CAMERAS = 120
 """Cameras drawn per split; if there are more, an even selection."""
 FRUSTUM_SHARE = 0.04
@@ -189,7 +191,7 @@ def _drawing(draw: Callable[["Axes"], None], aspect: float) -> Picture:
     from matplotlib.figure import Figure
 
     width = PIXELS / max(1.0, aspect)
-    figure = Figure(figsize=(width / 72, width * aspect / 72), dpi=72)
+    figure = Figure(figsize=(width / DPI, width * aspect / DPI), dpi=DPI)
     canvas = FigureCanvasAgg(figure)
     axes = figure.add_axes((0, 0, 1, 1))
     axes.axis("off")

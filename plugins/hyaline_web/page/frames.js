@@ -78,7 +78,7 @@ class Frames {
       }
       if (frame >= samples * MAX_PASSES || (isCoarse && frame > 0)) continue;
       const start = performance.now(), ray = isCoarse ? { ...this.rayOf(0, samples), place: [0.5, 0.5] } : this.rayOf(frame, samples);
-      this.busy = this.draw(ray, () => !isCoarse && this.version !== version);
+      this.busy = this.draw(ray, () => this.held || (!isCoarse && this.version !== version));
       if (!(await this.busy)) continue;
       this.tracer.show();
       frame++;

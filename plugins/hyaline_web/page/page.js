@@ -108,6 +108,7 @@ class Page {
   }
 
   changed() {
+    this.hideError();
     this.frames.changed();
     this.rays.draw();
     this.writeLink();
@@ -189,10 +190,35 @@ class Page {
   }
 
   showTruth() {
-    const source = (this.scene.manifest.truth || {})[element("views").value], image = element("truth");
-    element("fade-label").hidden = image.hidden = !source;
+    const view = element("views").value, source = (this.scene.manifest.truth || {})[view], image = element("truth");
+    element("compare").hidden = image.hidden = !source;
+    element("error").hidden = view.startsWith("train/");  // Their truth has lost too much.
     if (source) image.src = source;
     image.style.clipPath = `inset(0 ${100 - element("fade").value}% 0 0)`;
+  }
+
+  hideError() {
+    element("difference").hidden = true;
+    element("score").textContent = "";
+  }
+
+  // How far a picture with the rays of `model predict` is from the truth of this view: as a picture, and as PSNR.
+  async showError() {
+    const truth = element("truth"), shown = element("difference"), view = element("views").value;
+    if (!shown.hidden) return this.hideError();
+    element("score").textContent = "Drawing …";
+    await truth.decode();
+    Object.assign(shown, { width: truth.naturalWidth, height: truth.naturalHeight });
+    const { width, height } = shown, drawn = await this.frames.picture(width, height, this.scene.manifest.samples);
+    if (element("views").value !== view) return;
+    const drawing = shown.getContext("2d");
+    drawing.drawImage(truth, 0, 0);
+    const pixels = drawing.getImageData(0, 0, width, height), errors = drawn.map((value, place) => Math.abs(value - pixels.data[place]));
+    errors.forEach((error, place) => (pixels.data[place] = place % 4 < 3 ? 8 * error : 255));
+    drawing.putImageData(pixels, 0, 0);
+    shown.hidden = false;
+    const squares = errors.reduce((sum, error) => sum + error * error, 0) / (3 * width * height);
+    element("score").textContent = `${(10 * Math.log10(255 * 255 / squares)).toFixed(2)} dB`;
   }
 
   // ---- The link: what differs from the page as it opens

@@ -15,6 +15,7 @@ class Panel {
     const on = (id, event, act) => element(id).addEventListener(event, act);
     on("views", "change", (event) => page.goTo(event.target.value));
     on("fade", "input", () => page.showTruth());
+    on("error", "click", () => page.showError().catch(fail));
     on("reset", "click", () => page.reset());
     on("fly", "click", () => page.command("f"));
     on("picture", "click", () => page.savePicture());

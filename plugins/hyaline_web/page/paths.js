@@ -24,7 +24,7 @@ class RayView {
     this.layers = await tracer.layers(camera, MAX_LAYERS, x, y, width, height);
     this.segments = tracer.followsLight ? await tracer.lightPath(camera, MAX_SEGMENTS, x, y, width, height) : [];
     const line = (text) => Object.assign(document.createElement("li"), { textContent: text });
-    this.list.append(...this.layers.map(({ object, distance }, index) => line(`Layer ${index + 1}: ${names[object]}, ${distance.toFixed(3)} m`)));
+    this.list.append(...this.layers.map(({ object, distance }, index) => line(`Layer ${index}: ${names[object]}, ${distance.toFixed(3)} m`)));
     for (let branch = 0; branch < SHOWN_BRANCHES; branch++) {
       const own = this.segments.filter((segment) => segment.branch === branch);
       if (!own.length) break;

@@ -127,8 +127,7 @@ class LiveRun:
 STILL_S = 0.25
 """Seconds without movement after which a camera is at rest."""
 SIDES = (64, 128, 256, 512, 768)
-"""Pixels of a picture's longer side; the first while the camera moves. Few sizes, because tracers compile a program for
-each."""
+"""Pixels of a picture's longer side; the first while the camera moves. Few sizes: each takes a program."""
 
 
 @dataclass(kw_only=True, eq=False)

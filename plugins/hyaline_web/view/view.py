@@ -37,7 +37,8 @@ from datagen.disk.errors import HyalineError
 from datagen.look.drawings import object_colors
 from datagen.pages.charts import COLORS
 from datagen.terminal.command import Held, hold_signals, say, tell
-from hyaline_web.view.live_run import Job, LiveRun, MovedOn, Pose, Schedule, window_pose
+from eval.score.metrics import psnr
+from hyaline_web.view.live_run import Job, LiveRun, MovedOn, Picture, Pose, Schedule, window_pose
 from model.run.run_folder import RUN, open_trained
 from model.runtime import choose_device
 from model.settings import RUNS, Device
@@ -124,6 +125,8 @@ FRAME_SHARE = 0.05
 """Size of a camera's frame, relative to its distance from the centre of the scene."""
 MOST_PIXELS = 160
 """Longer side of a picture in its frame; larger ones are subsampled."""
+PANEL_PIXELS = 256
+"""Least width of a picture in the panel."""
 GLASS_OPACITY = 0.35
 FIRST = (
     "Drawing the first picture ...",
@@ -148,6 +151,9 @@ class Stage:
     def __init__(self, server: viser.ViserServer, dataset: Dataset, *, has_run: bool) -> None:
         """Adds the cameras without pictures, and the controls."""
         self._server, gui = server, server.gui
+        self.asked: View | None = None
+        """A view whose camera was clicked, and which the panel does not show yet."""
+        self._shown: viser.GuiImageHandle | None = None
         meshes = read_meshes(dataset, TRUTH) if dataset.objects else ()  # Imported pictures may have none.
         places = [dataset.cameras(split).world_from_camera[:, :3, 3] for split in dataset.splits]
         corners = np.concatenate([mesh.vertices for mesh in meshes if is_there(mesh)] or places)
@@ -189,6 +195,21 @@ class Stage:
         """Shows why there is no picture; empty: hides the message."""
         self._trouble.content, self._trouble.visible = as_text(trouble), bool(trouble)
 
+    def show(self, view: View, picture: Picture | None) -> None:
+        """Shows a view's truth in the panel, and below it a prediction and its error as reports draw it."""
+        truth = view.image
+        pictures = [truth]
+        label = f"{view.split} {view.index}: truth"
+        if picture is not None:
+            errors = 8 * np.abs(picture.astype(np.int32) - truth)
+            pictures += [picture, errors.clip(max=255).astype(np.uint8)]
+            label += f", prediction ({psnr(picture, truth):.2f} dB), error × 8"  # noqa: RUF001
+        times = -(-PANEL_PIXELS // truth.shape[1])
+        if self._shown is not None:
+            self._shown.remove()
+        enlarged = np.concatenate(pictures).repeat(times, axis=0).repeat(times, axis=1)
+        self._shown = self._server.gui.add_image(enlarged, label=label, format="png")
+
     def pictures(self) -> Iterator[None]:
         """Adds the pictures to the cameras' frames, one per step; views that are not built stay empty."""
         for view, frame in self._frames:
@@ -226,6 +247,7 @@ class Stage:
 
         @frame.on_click
         def _(event: viser.SceneNodePointerEvent[viser.CameraFrustumHandle]) -> None:
+            self.asked = view
             if event.client is not None:
                 with event.client.atomic():
                     looking = event.client.camera
@@ -249,8 +271,8 @@ class Viewer:
         self._looked_at = -math.inf
         self._news = threading.Event()
         self._notes: dict[int, viser.NotificationHandle] = {}
-        self._stage = Stage(server, dataset, has_run=run is not None)
-        self._pictures: Iterator[None] = self._stage.pictures()
+        self.stage = Stage(server, dataset, has_run=run is not None)
+        self._pictures: Iterator[None] = self.stage.pictures()
         server.on_client_connect(self._connect)
         server.on_client_disconnect(lambda client: self._schedule.forget(client.client_id))
 
@@ -266,6 +288,8 @@ class Viewer:
         if job is not None:
             with contextlib.suppress(MovedOn):
                 self._draw(job, lambda: held.number is None and self._schedule.is_wanted(job))
+        elif self.stage.asked is not None:
+            self._compare(held)
         elif next(self._pictures, self) is self:
             self._wait(WAIT_S)
 
@@ -276,9 +300,9 @@ class Viewer:
         try:
             if self._run.refresh():
                 self._schedule.redraw()
-            self._stage.tell_run(f"{self._run.folder}: {self._run.status}")
+            self.stage.tell_run(f"{self._run.folder}: {self._run.status}")
         except HyalineError as error:
-            self._stage.tell_run(str(error))
+            self.stage.tell_run(str(error))
 
     def _draw(self, job: Job, is_wanted: Callable[[], bool]) -> None:
         picture, trouble = None, ""
@@ -287,7 +311,7 @@ class Viewer:
                 picture = self._run.draw(job.camera, is_quick=job.is_quick, is_wanted=is_wanted)
             except HyalineError as error:
                 trouble = str(error)
-        self._stage.tell_trouble(trouble)
+        self.stage.tell_trouble(trouble)
         client = self._server.get_clients().get(job.client)
         if client is None:  # It disconnected before its last move was processed.
             self._schedule.forget(job.client)
@@ -297,6 +321,14 @@ class Viewer:
             client.scene.set_background_image(picture, format="png")
             client.flush()
         self._schedule.finish(job)
+
+    def _compare(self, held: Held) -> None:
+        """Shows the view that was asked for beside its truth, as far as both are there."""
+        view, self.stage.asked = self.stage.asked, None
+        assert view is not None
+        with contextlib.suppress(MovedOn, HyalineError):
+            draw = (lambda *_, **__: None) if self._run is None else self._run.draw
+            self.stage.show(view, draw(view.camera, is_quick=False, is_wanted=lambda: held.number is None))
 
     # Callbacks in viser's threads.
 

@@ -33,6 +33,7 @@ from benchmarks.compare import page_edits
 from datagen.data.dataset import Dataset
 from datagen.data.meshes import Mesh, no_mesh
 from datagen.data.paths import TRUTH
+from datagen.pages.html import lossless_uri
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.edits import edit_scene, moved_mesh, parse_edit
 from datagen.scene.materials import Conductor, Dielectric, Event, Medium, Surface
@@ -182,6 +183,22 @@ def test_a_small_page_is_close_to_python(
         assert page.page.get_attribute("#status", "aria-live") == "off"  # Else each frame would be read aloud.
         page.evaluate("async () => (await hyaline).show('A message.')")
         assert page.page.get_attribute("#status", "aria-live") == "polite"
+
+
+def test_a_page_shows_how_far_a_view_is_from_its_truth(page: Watched) -> None:
+    samples = page.evaluate("async () => (await hyaline).scene.manifest.samples")
+    drawn = page.picture(VIEW, SHAPE, samples)
+    uri = lossless_uri(np.where(drawn > 127, drawn - 3, drawn + 3).astype(np.uint8))
+    page.evaluate("async (truth) => Object.assign((await hyaline).scene.manifest, { truth })", {VIEW: uri})
+    page.evaluate("async (view) => (await hyaline).goTo(view)", VIEW)
+    page.evaluate("async () => document.getElementById('error').click()")
+    wait_until(page.page, "async () => document.getElementById('score').textContent.endsWith('dB')")
+    assert page.page.inner_text("#score") == f"{20 * np.log10(255 / 3):.2f} dB"
+    canvas = "document.getElementById('difference')"
+    shown = page.evaluate(f"async () => [...{canvas}.getContext('2d').getImageData(0, 0, {SHAPE[1]}, {SHAPE[0]}).data]")
+    assert set(shown) == {8 * 3, 255}
+    page.evaluate("async () => (await hyaline).moved()")
+    assert page.evaluate(f"async () => {canvas}.hidden")
 
 
 def test_a_browser_without_webgl_says_so_and_shows_a_still_picture(

@@ -62,6 +62,12 @@ def test_a_dataset_without_runs_shows_its_cameras_with_their_pictures_and_its_me
                     pictures += "_image_data" in message.get("updates", {})
                 if pictures == len(views):
                     break
+            view = shown.stage.asked = dataset.view("interpolating", 0)
+            shown.step(Held())
+            assert shown.stage.asked is None
+            shown.stage.show(view, view.image ^ 1)
+            labels = [text["props"]["label"] for text, _ in window.messages() if text["type"] == "GuiImageMessage"]
+    assert labels[-1] == "interpolating 0: truth, prediction (48.13 dB), error × 8"  # noqa: RUF001
     assert pictures == len(views) == 6
     assert names == {f"/cameras/{split}/{view:04d}" for split, view in views} | {"/meshes/pane", "/meshes/floor"}
 
