@@ -25,7 +25,8 @@ $(STAMP): pyproject.toml constraints.txt
 	@if torch=$$($(NEEDS_CPU_TORCH)); then \
 		echo "setup: no NVIDIA GPU here, so PyTorch comes without CUDA"; \
 		$(PIP) uv && UV_HTTP_TIMEOUT=20 $(BIN)/uv pip install --python $(BIN)/python --torch-backend=cpu "$$torch" || \
-		echo "setup: that failed; if pip now downloads CUDA libraries, press Ctrl-C and see docs/install.md"; \
+		! $(PIP) --quiet --no-deps --ignore-installed --dry-run --report - "$$torch" | grep -q '"\(cuda\|nvidia\)-' || \
+		{ echo "setup: stopped, since pip would now download CUDA libraries of 4 GB; see docs/install.md"; exit 1; }; \
 	fi
 	$(PIP) -e ".[all]"
 	@# pip would compile half a minute on one core; some libraries have files that cannot be compiled.

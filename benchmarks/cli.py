@@ -59,18 +59,12 @@ def peel(
     show(bench_peel(size=size, num_layers=layers, subdivisions=subdivisions, rounds=rounds))
 
 
-def truth(
-    scene: str = "glass_table",
-    light: Literal["soft", "scene"] = "soft",
-    size: int = 128,
-    rounds: int = 7,
-) -> None:
+def truth(scene: str = "glass_table", size: int = 128, rounds: int = 7) -> None:
     """Rendering until noise allows 45 dB: the sampling of `datagen build` against Mitsuba's defaults.
 
     Args:
         scene: A name that `datagen scenes` lists, or a folder with a scene.json; its glass is made clear,
             and drinks and what else has a priority are left out.
-        light: An even sky, or the scene's own lights.
         size: Width and height in pixels.
         rounds: Turns of each.
     """
@@ -78,14 +72,12 @@ def truth(
 
     use_mitsuba()
     from benchmarks.harness import show
-    from benchmarks.truth import GOAL, bench_truth, under_soft_light
+    from benchmarks.truth import GOAL, bench_truth
     from datagen.data.config import DatasetConfig, square
     from datagen.scene.finding import find_scene
     from datagen.scene.rig import make_cameras
 
     description = find_scene(scene)
-    if light == "soft":
-        description = under_soft_light(description)
     config = DatasetConfig.even(description.name, square(size), 4)
     cameras = make_cameras(description.cameras, config)["train"]
     show(bench_truth(description, cameras, GOAL, rounds=rounds))
@@ -122,7 +114,7 @@ def cycles(
     from datagen.disk.errors import HyalineError
     from datagen.disk.ownership import refuse_file
     from datagen.machine.mitsuba_variant import use_mitsuba
-    from datagen.terminal.command import say_all
+    from datagen.terminal.command import say
 
     use_mitsuba()
     from benchmarks.blender import Compared, compare_with_cycles, cycles_table, sheet_bytes
@@ -140,7 +132,7 @@ def cycles(
                 raise
             rows[file.name] = str(error)
             continue
-        say_all(found.told)
+        say(*found.told)
         out.mkdir(parents=True, exist_ok=True)
         picture.write_bytes(sheet_bytes(found))
         rows[file.name] = found

@@ -20,8 +20,7 @@ from datagen.data.cameras import Cameras
 from datagen.data.images import srgb_from_linear
 from datagen.render.mitsuba_scene import load_scene_mitsuba, load_sensor
 from datagen.render.truth import Renderer, derive_seed
-from datagen.scene.description import EnvironmentMap, Scene, SoftEnvironment, image_bytes
-from datagen.scene.images import read_map
+from datagen.scene.description import Scene
 from datagen.scene.materials import Dielectric
 from datagen.terminal.command import say
 
@@ -42,7 +41,7 @@ OURS, DEFAULTS = "datagen build", "mitsuba's defaults"
 
 @dataclass(frozen=True, kw_only=True)
 class Goal:
-    """What is asked of the pictures under a light."""
+    """What is asked of the pictures."""
 
     ceiling_db: float
     at_least: float
@@ -161,20 +160,6 @@ def with_clear_glass_apart(scene: Scene) -> Scene:
         if material.medium is None or material.medium.priority == 0:
             objects.append(dataclasses.replace(item, material=material))
     return dataclasses.replace(scene, objects=tuple(objects))
-
-
-def under_soft_light(scene: Scene) -> Scene:
-    """The scene without lamps in an even sky, as bright as its horizon, or as its map is on average."""
-    environment = scene.environment
-    if isinstance(environment, EnvironmentMap):
-        rows = read_map(image_bytes(scene, environment), where=environment.path).mean(axis=1)
-        # Rows near the poles cover less of the sphere.
-        weight = np.sin(np.pi * (np.arange(len(rows)) + 0.5) / len(rows))
-        red, green, blue = (environment.scale * weight @ rows / weight.sum()).tolist()
-        sky = red, green, blue
-    else:
-        sky = environment.horizon
-    return dataclasses.replace(scene, environment=SoftEnvironment(zenith=sky, horizon=sky, ground=sky), lights=())
 
 
 def noise_mse(radiance: Radiance, spp: int) -> tuple[float, int]:

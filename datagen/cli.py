@@ -3,13 +3,14 @@
 import shlex
 import sys
 from pathlib import Path
+from textwrap import fill
 from typing import Annotated
 
 from datagen.builder.choices import AddChoices, BuildChoices, FilmChoices, ShardChoices, SizeChoices
 from datagen.data.paths import BUILD, BUILT_IN_SCENES, TRUTH, Geometry, find_dataset, train_command
 from datagen.disk.errors import UsageError
 from datagen.scene.finding import ImportChoices, list_families
-from datagen.terminal.command import fail, next_command, run, say, say_all, tell
+from datagen.terminal.command import fail, next_command, run, say, tell
 from datagen.terminal.parsing import CommandGroup, group
 from datagen.terminal.plugins import absent_commands, commands_of
 
@@ -67,10 +68,15 @@ def add(dataset: str | None = None, /, *, choices: AddChoices = AddChoices()) ->
     from datagen.builder.build_command import add_variants
     from datagen.data.dataset import open_dataset
 
-    made = add_variants(open_dataset(find_dataset(dataset)), choices)
+    opened = open_dataset(find_dataset(dataset))
+    made = add_variants(opened, choices)
     for one in made:
         tell(str(one.root))
-    next_command(shlex.join(["model", "predict", "RUN", "--variant", made[-1].name]))
+    runs = sorted(Path("runs", opened.name).glob("*/run.json"))
+    if runs:
+        next_command(shlex.join(["model", "predict", str(runs[0].parent), "--variant", made[-1].name]))
+    else:
+        next_command(train_command(opened.root))
 
 
 def peel(
@@ -103,7 +109,7 @@ def peel(
     check_geometry(opened, geometry)
     say(f"{opened.root}: peeling {geometry} into {num_layers} layers")
     peel_dataset(opened, geometry, num_layers=num_layers, overwrite=overwrite, workers=workers)
-    say_all(summary(opened, geometry))
+    say(*summary(opened, geometry))
     peel_variants(opened, workers=workers)
     tell(str(opened.root))
     next_command(train_command(opened.home.root, geometry))
@@ -178,7 +184,7 @@ def verify(dataset: str | None = None, /, *, json: bool = False) -> None:
 
     root = find_dataset(dataset)
     files, problems, remarks = verify_dataset(root)
-    say_all(remarks)
+    say(*remarks)
     if json:
         result = {"dataset": str(root), "verified": len(files), "problems": problems, "remarks": remarks}
         print(dumps(result, indent=2))
@@ -193,10 +199,11 @@ def verify(dataset: str | None = None, /, *, json: bool = False) -> None:
 
 def scenes() -> None:
     """List the built-in scenes, and how to generate random ones."""
-    for name, description in BUILT_IN_SCENES.items():
-        print(f"{name:14} {description}")
+    listed = dict(BUILT_IN_SCENES)
     if families := list_families():
-        print(f"{'random':14} Glassware from --seed N, with --count M of them; --family {', '.join(families)}")
+        listed["random"] = f"Glassware from --seed N, with --count M of them; --family {', '.join(families)}"
+    for name, description in listed.items():
+        print(fill(f"{name:14} {description}", 80, subsequent_indent=15 * " "))
     next_command(BUILD)
 
 

@@ -320,8 +320,7 @@ class ViewQuantities:
     def albedo(self) -> Float32[np.ndarray, "h w 3"]:
         """Linear reflectance (Rec. 709) of the first surface: the base under a coat, or metal at normal incidence.
 
-        NaN on glass and where the ray hits nothing. Patterns are evaluated exactly, whereas the path tracer looks them
-        up in baked textures.
+        NaN on glass and where the ray hits nothing. Patterns are exact; the path tracer looks them up in textures.
         """
         albedo = np.full((*self.object_id.shape, 3), np.nan, np.float32)
         for object_id in np.unique(self.object_id[self.object_id > 0]).tolist():

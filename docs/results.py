@@ -36,7 +36,7 @@ def results_page(place: Path) -> str:
             new = tuple(note for note in grid.notes if note not in said)
             parts.append(grid_text(dataclasses.replace(grid, notes=new), "markdown", width=TABLE_WIDTH))
             said += new
-    return "\n".join(parts)
+    return "\n".join(parts).replace("\n### ", "\n## ")  # Each table is a chapter of its file's.
 
 
 def _page_grids(path: Path, data: Stored) -> list[Grid]:

@@ -1,3 +1,10 @@
+// What axe misses in the theme's pages: keys that scroll, and roles.
+for (const wide of document.querySelectorAll("pre code, table.docutils")) wide.tabIndex = 0;
+for (const head of document.querySelectorAll("th:empty")) head.replaceWith(document.createElement("td"));
+for (const inner of document.querySelectorAll("footer [role]")) inner.removeAttribute("role");
+document.querySelector("footer")?.setAttribute("role", "contentinfo");
+document.querySelector(".rst-versions")?.setAttribute("role", "region");
+
 for (const block of document.querySelectorAll("pre")) {
   const [button, text] = [document.createElement("button"), block.textContent];
   button.textContent = "Copy";

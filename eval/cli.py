@@ -6,9 +6,10 @@ here, and the word `report` may or may not be there.
 
 import sys
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from datagen.terminal.command import run
+from eval.tables.plugins import TABLES
 
 Format = Literal["table", "markdown"]
 
@@ -21,7 +22,7 @@ def report(
     dataset: str | None = None,
     format: Format = "table",  # noqa: A002  The flag's name; the builtin is not needed here.
     out: Path | None = None,
-    table: tuple[str, ...] = (),
+    table: Annotated[tuple[str, ...], TABLES.names] = (),
     json: bool = False,
 ) -> None:
     """Score predicted images against a dataset's ground truth, and write a page about all runs.

@@ -16,6 +16,7 @@ from .datasets import Split as Split
 from .datasets import View as View
 from .datasets import ViewQuantities as ViewQuantities
 from .datasets import build as build
+from .datasets import hush as hush
 from .datasets import layers as layers
 from .datasets import list_datasets as list_datasets
 from .datasets import make_proxies as make_proxies

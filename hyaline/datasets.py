@@ -24,6 +24,7 @@ from datagen.quantities import ViewQuantities as ViewQuantities
 from datagen.quantities import peeler_of
 from datagen.quantities import quantities as quantities
 from datagen.terminal.command import choose
+from datagen.terminal.command import hush as hush
 from datagen.terminal.parsing import flags_of
 from datagen.terminal.plugins import naming_parts
 from hyaline.scenes import Hemisphere, Scene

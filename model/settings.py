@@ -244,8 +244,7 @@ class Optimisation:
     The paper names no number; the authors' code takes one whole image per step. On a CPU a step's time is nearly
     proportional to it."""
     updates: int = choice(1, "{}-updates", limits=COUNT)
-    """Weight updates per step, each from an equal part of its batch. For the same number of rays, more updates fit
-    better."""
+    """Weight updates per step, each from an equal part of its batch. For equal rays, more updates fit better."""
     optimizer: OptimizerKind = choice("adam", "{}")
     """adam (section 4.4), or muon: Muon for the network's matrices, Adam for the rest."""
     lr: float = choice(0.001, "lr{}", limits=RATE)

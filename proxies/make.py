@@ -57,8 +57,7 @@ class ProxyReport:
     triangles: int
     statistics: ProxyStatistics
     inside_share: float | None
-    """Share of the object's vertices inside the proxy; None for truth and fitted glass, which need not enclose
-    anything."""
+    """Share of the object's vertices inside the proxy; None for truth and fitted glass, which need not."""
     problem: str | None
     """The proxy's problem in a few words; None if it is sound."""
 

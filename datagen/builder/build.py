@@ -30,7 +30,7 @@ from datagen.machine.processes import in_workers
 from datagen.scene.description import CameraList, Scene
 from datagen.scene.folder import open_scene, scene_files
 from datagen.scene.rig import cameras_within, make_cameras
-from datagen.terminal.command import say, say_all, this_command, track
+from datagen.terminal.command import say, this_command, track
 
 Task = tuple[Split, int]
 
@@ -145,7 +145,7 @@ def build_dataset(
     if not made:
         say(f"{root}: is built already; nothing to do")
     elif shard is None:
-        say_all(summary(dataset, TRUTH))
+        say(*summary(dataset, TRUTH))
     return dataset
 
 

@@ -3,12 +3,13 @@
 import dataclasses
 from pathlib import Path
 
-from datagen.builder.build import build_dataset, refuse_unlit, summary
+from datagen.builder.build import build_dataset, refuse_unlit
 from datagen.builder.choices import (
     AddChoices,
     BuildChoices,
     ShardChoices,
     SizeChoices,
+    check_baseline,
     configure,
     fit_to_scene,
     parse_shard,
@@ -16,14 +17,14 @@ from datagen.builder.choices import (
 from datagen.builder.variants import build_variant, peel_variants, plan_angles, plan_edit, plan_larger, plan_stereo
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.layers import check_settings
-from datagen.data.paths import DATA_ROOT, TRUTH
+from datagen.data.paths import DATA_ROOT
 from datagen.data.variants import TWINS
 from datagen.disk.errors import HyalineError, UsageError
 from datagen.disk.ownership import DATASET, refuse_others
 from datagen.machine.launch import raise_failures, run_in_jobs
 from datagen.scene.edits import parse_edit
 from datagen.scene.finding import ImportChoices, find_scene, find_source, numbered_scenes
-from datagen.terminal.command import say, say_all
+from datagen.terminal.command import say
 from datagen.terminal.parsing import changed_flags, flag_words
 
 
@@ -73,6 +74,7 @@ def _build_scene(
     name: str, choices: BuildChoices, size: SizeChoices, launch: ShardChoices, imports: ImportChoices
 ) -> Dataset:
     check_settings(num_layers=size.num_layers, workers=choices.workers)
+    check_baseline(choices.stereo)
     config = configure(choices.preset, size, seed=choices.seed)
     part = None if choices.shard is None else parse_shard(choices.shard)
     if choices.out is not None or ("/" not in name and find_source(name, is_of_files=True) is None):
@@ -129,6 +131,7 @@ def _job_words(scene: str, choices: BuildChoices, size: SizeChoices, imports: Im
 def add_variants(base: Dataset, choices: AddChoices) -> list[Dataset]:
     """Adds an edited scene, twins, splits by angle or larger pictures to a dataset."""
     refuse_unlit(base, what="another view")
+    check_baseline(choices.stereo)
     edits = [choices.edit] if choices.edit else []
     edits += [(twin,) for twin in TWINS] if choices.twins else []
     if not (edits or choices.angles or choices.larger or choices.stereo is not None):
@@ -139,8 +142,4 @@ def add_variants(base: Dataset, choices: AddChoices) -> list[Dataset]:
     plans += [plan_angles(base)] if choices.angles else []
     plans += [plan_larger(base, scale, views=choices.larger_views) for scale in choices.larger]
     plans += [] if choices.stereo is None else [plan_stereo(base, choices.stereo)]
-    made = []
-    for plan in plans:
-        made.append(build_variant(base, plan, workers=choices.workers, overwrite=choices.overwrite))
-        say_all(summary(made[-1], TRUTH))
-    return made
+    return [build_variant(base, plan, workers=choices.workers, overwrite=choices.overwrite) for plan in plans]

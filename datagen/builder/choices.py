@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from datagen.scene.description import Scene
 
 PresetName = Literal["tiny", "small", "demo", "standard", "paper", "labels"]
+MAX_BASELINE = 10.0
 LOCAL_MIN = 7 * 24 * 60
 """Time limit of jobs on this machine; submitit's own is two minutes."""
 
@@ -41,8 +42,7 @@ class BuildChoices:
     and does not stop the others."""
     shard: str | None = None
     """Build part I of N of all views, such as 2/4. Parts may run at the same time on machines of one kind that share
-    the folder; together they give the bytes of a single build. If a part failed, the same command without --shard
-    builds the rest."""
+    the folder; together they give the bytes of a single build. Without --shard, the rest of a failed part is built."""
     stereo: float | None = None
     """Also render every view from a second camera this many metres to its right, such as 0.06."""
 
@@ -206,6 +206,12 @@ def fit_to_scene(config: DatasetConfig, scene: "Scene", size: SizeChoices) -> Da
         config = with_listed_shape(config, scene.cameras)
     has_views = size.views is not None or size.test_views is not None
     return config if has_views else with_listed_views(config, scene.cameras)
+
+
+def check_baseline(metres: float | None) -> None:
+    """Refuses a distance between the cameras of a pair that is probably in millimetres."""
+    if metres is not None and not 0 < metres <= MAX_BASELINE:
+        raise HyalineError(f"--stereo: is {metres:g}; expected more than 0 and at most {MAX_BASELINE:g} metres")
 
 
 @dataclass(frozen=True, kw_only=True)

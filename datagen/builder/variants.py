@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from datagen.builder.angles import make_angle_cameras
-from datagen.builder.build import peel_dataset, render_dataset
+from datagen.builder.build import peel_dataset, render_dataset, summary
 from datagen.data.cameras import Cameras
 from datagen.data.config import (
     SPLITS,
@@ -57,8 +57,6 @@ from datagen.scene.rig import cameras_within
 from datagen.terminal.command import say
 
 MAX_SCALE = 8
-MAX_BASELINE = 10.0
-"""Metres between two cameras; a larger number is probably in millimetres."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -114,8 +112,6 @@ def plan_stereo(base: Dataset, baseline: float) -> Plan:
     Its noise is independent: equal noise at equal pixels would look like a surface at infinity.
     """
     _check_base(base)
-    if not 0 < baseline <= MAX_BASELINE:
-        raise HyalineError(f"--stereo: is {baseline:g}; expected more than 0 and at most {MAX_BASELINE:g} metres")
     shift = np.eye(4)
     shift[0, 3] = baseline
     right: dict[Split, Cameras] = {split: base.cameras(split) for split in SPLITS}
@@ -167,8 +163,9 @@ def build_variant(base: Dataset, plan: Plan, *, workers: int, overwrite: bool = 
     root = variant_root(base.root, plan.name)
     with holding(root, DATASET, within=base.root):
         variant = _open_or_start(base, plan, overwrite=overwrite)
-        render_dataset(variant, workers=workers)
-    _peel(base, variant, workers=workers)
+        made = render_dataset(variant, workers=workers)
+    made += _peel(base, variant, workers=workers)
+    say(*(summary(variant, TRUTH) if made else [f"{root}: is built already; nothing to do"]))
     if variant.edit is not None:
         say(f"{root}: finding where the edit shows")
         write_edit_masks(base, variant)
@@ -187,8 +184,9 @@ def peel_variants(base: Dataset, *, workers: int) -> None:
             say(f"{variant_root(base.root, name)}: is not peeled: {error}")
 
 
-def _peel(base: Dataset, variant: Dataset, *, workers: int) -> None:
-    """Peels as many layers of each geometry as the base has of it."""
+def _peel(base: Dataset, variant: Dataset, *, workers: int) -> int:
+    """Peels as many layers of each geometry as the base has of it; returns how many views it peeled."""
+    made = 0
     for geometry in list_geometries(base):
         if not (layers_root(base.root, geometry) / LAYERS.head).is_file():
             continue
@@ -197,7 +195,8 @@ def _peel(base: Dataset, variant: Dataset, *, workers: int) -> None:
                 _write_proxies(base, variant, variant.edit, geometry)
         num_layers = base.layer_store(geometry).head.num_layers
         is_other = find_num_layers(variant, geometry) not in (None, num_layers)
-        peel_dataset(variant, geometry, num_layers=num_layers, overwrite=is_other, workers=workers)
+        made += peel_dataset(variant, geometry, num_layers=num_layers, overwrite=is_other, workers=workers)
+    return made
 
 
 def _open_or_start(base: Dataset, plan: Plan, *, overwrite: bool) -> Dataset:

@@ -297,8 +297,7 @@ def with_depth_range(cameras: Mapping[Split, Cameras], meshes: Sequence[Mesh]) -
     """The cameras with one near and one far for all of them, in metres along the ray.
 
     Every surface inside any picture lies between them, hidden surfaces included, with a margin; triangles that a
-    picture shows in part count as a whole. They are rounded outwards to five digits, so that files do not depend on the
-    last bit of a sum.
+    picture shows in part count as a whole. Rounded outwards to five digits, against the last bits of sums.
     """
     corners = _corners(meshes)
     found = [_depths(poses, matrix, corners) for poses in cameras.values() for matrix in poses.world_from_camera]

@@ -158,8 +158,7 @@ def load_json(path: Path) -> dict[str, Json]:
     """A JSON object from a file.
 
     Raises:
-        HyalineError: missing, not UTF-8 JSON, not an object, nested too deeply, or a number that is not finite or does
-            not fit into 64 bits.
+        HyalineError: missing, not UTF-8 JSON, not an object, nested too deeply, or a number beyond 64 bits.
     """
     return parse_json(read_regular(path, at_most=MAX_JSON_BYTES), where=str(path))
 

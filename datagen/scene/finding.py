@@ -73,7 +73,6 @@ class SceneSource:
 SOURCES: Group[SceneSource] = Group(
     name="hyaline.scene_sources",
     what="source of scenes",
-    built_in={},
     guide="docs/extending.md",
     kind="datagen.scene.finding:SceneSource",
 )

@@ -219,8 +219,7 @@ class Dielectric(Optics):
     absorption: Color = (0.0, 0.0, 0.0)
     """Absorption coefficient per channel, 1/m: transmittance over d metres is exp(-absorption d)."""
     tint: Color = (1.0, 1.0, 1.0)
-    """Share of the light transmitted each time it crosses the surface, at every angle; each in [0, 1]. A slab shows its
-    square."""
+    """Share of light transmitted each time it crosses the surface, at all angles; 0 to 1. A slab shows its square."""
     priority: int = 0
     """-9 to 9. Where dielectrics overlap, the one with the highest priority fills the space, or the first in the scene
     if equal: give a drink, whose mesh extends slightly into the wall of its glass, -1."""

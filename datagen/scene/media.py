@@ -27,8 +27,7 @@ if TYPE_CHECKING:
     import mitsuba as mi
 
 SAME_INDEX = 1e-6
-"""A surface does not tint if the ratio of indices is this close to 1: overlapping parts of one glass have no surface
-between them."""
+"""A surface does not tint if the ratio of indices is this close to 1: parts of one glass may overlap."""
 MAX_NESTED = 32
 """Largest number of dielectrics in a scene with priorities: a ray keeps one bit for each."""
 

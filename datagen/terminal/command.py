@@ -116,21 +116,16 @@ def tell(line: str) -> None:
 _is_quiet = False
 
 
-def hush(is_quiet: bool) -> None:
-    """Turns progress and remarks off, as --quiet asks, or on again."""
+def hush(is_quiet: bool = True) -> None:
+    """Turns progress and remarks off, as --quiet does, or on again."""
     global _is_quiet
     _is_quiet = is_quiet
 
 
-def say(message: str, *, is_error: bool = False) -> None:
-    """A line for the person who waits, on stderr; --quiet leaves errors."""
-    if is_error or not _is_quiet:
+def say(*messages: str, is_error: bool = False) -> None:
+    """Lines for the person who waits, on stderr; --quiet leaves errors."""
+    for message in messages if is_error or not _is_quiet else ():
         print(printable(message), file=sys.stderr, flush=True)
-
-
-def say_all(messages: Iterable[str]) -> None:
-    for message in messages:
-        say(message)
 
 
 def next_command(line: str) -> None:

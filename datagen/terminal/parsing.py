@@ -136,7 +136,9 @@ def _in_one_line(box: str) -> str:
     """What tyro 1.0 says in blocks: a title, what is wrong, perhaps the flag that was meant, and where to find help."""
     _, wrong, *more = re.split("-{3,}", box)
     near = next((part.split("\n")[2].strip() for part in more if "Perhaps you meant" in part), None)
-    return " ".join(wrong.split()).rstrip(".") + (f"; did you mean {near}" if near else "")
+    what, listed, choices = " ".join(wrong.split()).rstrip(".").partition(". Expected one of ")
+    what += listed and "; choose from " + re.sub(r"[(')]", "", choices).strip()
+    return what + (f"; did you mean {near}" if near else "")
 
 
 def _words_first(command: Command, words: Sequence[str]) -> list[str]:

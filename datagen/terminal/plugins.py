@@ -74,10 +74,10 @@ class Group(Generic[Plugin]):
     """The entry-point group, such as hyaline.exports."""
     what: str
     """What a plug-in is called in errors, such as method."""
-    built_in: Mapping[str, str]
-    """`module:attribute` by name."""
     guide: str
     """The page that says how to add one."""
+    built_in: Mapping[str, str] = field(default_factory=dict)
+    """`module:attribute` by name."""
     kind: str | None = None
     """`module:class` that a plug-in is an instance of; None: a plug-in is a function."""
     is_class: bool = False
@@ -163,9 +163,7 @@ def _load(place: str) -> object:
     return getattr(importlib.import_module(module), attribute)
 
 
-COMMANDS: Group[Callable[..., None]] = Group(
-    name="hyaline.commands", what="command", built_in={}, guide="docs/architecture.md"
-)
+COMMANDS: Group[Callable[..., None]] = Group(name="hyaline.commands", what="command", guide="docs/architecture.md")
 """Functions by program and command, such as `datagen.import`; their arguments are its flags."""
 
 

@@ -1,7 +1,6 @@
 """The kernel that follows the branches of light paths, one surface at a time (datagen/trace/light_path.py).
 
-A ray has one branch at a time and a queue of starts of further ones; where the branch ends, the first of them comes
-next.
+A ray has one branch at a time and a queue of starts of further ones; at its end comes the first of them.
 """
 
 from typing import TYPE_CHECKING
@@ -15,8 +14,7 @@ if TYPE_CHECKING:
     import mitsuba as mi
 
 SPARE_STEPS = 16
-"""Trace steps beyond the vertices of all branches, for hits that do not count: faces met again, surfaces of solids
-inside others."""
+"""Trace steps beyond the vertices of all branches, for hits that do not count: faces met again, solids in others."""
 
 MOST_GAIN = 1.25
 """Upper limit of the factor that makes up for missing branches."""

@@ -81,8 +81,7 @@ class Run:
     dataset: Dataset
     record: Record
     seal: str | None
-    """Digest of the run.json of `model train`, whose pictures are only valid with their predictions.json; None for
-    other methods."""
+    """Digest of the run.json of `model train`, whose pictures need their predictions.json; None for other methods."""
     promised: dict[str, str] | None
     """SHA-256 of each picture by path relative to the folder; None if it is not recorded."""
 

@@ -3,17 +3,20 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from datagen.data.config import Split
-from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
-from datagen.pages.html import Image8
 from datagen.terminal.plugins import Group
-from eval.score.runs import Run
-from eval.score.scores import SceneScores
-from eval.tables.grids import Grid
-from eval.tables.results import Stored
+
+if TYPE_CHECKING:
+    from datagen.data.dataset import Dataset
+    from datagen.pages.html import Image8
+    from eval.score.runs import Run
+    from eval.score.scores import SceneScores
+    from eval.tables.grids import Grid
+    from eval.tables.results import Stored
 
 EditedPsnr = Mapping[str, Mapping[str, Mapping[Split, float | None]]]
 """PSNR in dB where the edited object is or was, by the run's name, the edit and the split; None where none is seen."""
@@ -23,9 +26,9 @@ EditedPsnr = Mapping[str, Mapping[str, Mapping[Split, float | None]]]
 class Table:
     """A table over runs: which of them it needs, and how it is made of their scores."""
 
-    shows: Callable[[Run], bool]
+    shows: "Callable[[Run], bool]"
     """True for a run that the table may show; only those are scored."""
-    grids: Callable[[Sequence[SceneScores], Callable[[SceneScores], EditedPsnr]], list[Grid]]
+    grids: "Callable[[Sequence[SceneScores], Callable[[SceneScores], EditedPsnr]], list[Grid]]"
     """The table, from the scores of each dataset's runs. Calling the second argument scores their edits, too."""
     is_swept: bool = True
     """True if `model sweep` trains its runs."""
@@ -36,7 +39,6 @@ class Table:
 TABLES: Group[Table] = Group(
     name="hyaline.tables",
     what="table",
-    built_in={},
     guide="docs/extending.md",
     kind="eval.tables.plugins:Table",
 )
@@ -48,8 +50,8 @@ class PartPage:
 
     title: str
     note: str
-    grids: tuple[Grid, ...]
-    pictures: dict[str, Callable[[], Image8]]
+    grids: "tuple[Grid, ...]"
+    pictures: "dict[str, Callable[[], Image8]]"
     """By their captions."""
 
 
@@ -68,18 +70,17 @@ class ReportPart:
 
     head: str
     """The file that marks its folders among those of runs, such as fit.json."""
-    find: Callable[[Sequence[Dataset], Sequence[Path], list[HyalineError]], list[FoundPart | None]]
+    find: "Callable[[Sequence[Dataset], Sequence[Path], list[HyalineError]], list[FoundPart | None]]"
     """What there is of each dataset in some folders; adds the errors of folders that cannot be read."""
-    scene_grids: Callable[[str, Stored], list[Grid]]
+    scene_grids: "Callable[[str, Stored], list[Grid]]"
     """Tables of a RESULTS page from the title of a scene and the stored `FoundPart.data`."""
-    all_grids: Callable[[dict[str, Stored]], list[Grid]]
+    all_grids: "Callable[[dict[str, Stored]], list[Grid]]"
     """The same from those of all scenes, by title."""
 
 
 REPORT_PARTS: Group[ReportPart] = Group(
     name="hyaline.report_parts",
     what="part of the report",
-    built_in={},
     guide="docs/architecture.md",
     kind="eval.tables.plugins:ReportPart",
 )

@@ -61,8 +61,7 @@ class MethodConfig:
     draws_cameras: ClassVar[bool] = False
     """True when `load_cameras` gives the pixels of cameras that no view of the dataset has."""
     page: ClassVar[str] = ""
-    """A module that may import torch, whose function `draw_page` takes the record first. Empty: `model export` makes no
-    page of its runs."""
+    """A module that may import torch, whose function `draw_page` takes the record first. Empty: no exported page."""
     has_radiance: ClassVar[bool] = False
     """True when it predicts linear radiance, of which its colours are the sRGB curve, unclipped."""
 

@@ -240,8 +240,7 @@ class TexturePyramid(nn.ModuleList):
     def __init__(
         self, layouts: Sequence[TextureLayout], features: int, *, finer_counts: float = 1.0, start: float = 0.0
     ) -> None:
-        """`finer_counts`: weight of a level relative to the next coarser one; the coarsest has weight 1 and the initial
-        value `start`."""
+        """`finer_counts`: a level's weight by the next coarser one's; the coarsest has 1, and begins at `start`."""
         super().__init__(
             NeuralTextures(layout, features, start=start if layout is layouts[-1] else 0.0) for layout in layouts
         )

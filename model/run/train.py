@@ -45,8 +45,7 @@ from model.state import State, load_state, save_state
 CHECKPOINT_EVERY_S = 60.0
 """Longest time between two checkpoints, whatever the number of steps; the result does not depend on it."""
 STRIDE = 2
-"""Every second pixel of every second row is scored: a quarter of the time, for a score that differs by hundredths of a
-decibel."""
+"""Every second pixel of every second row is scored: a quarter of the time, hundredths of a decibel."""
 
 
 def train(
@@ -343,8 +342,7 @@ def _state_of(run: Run) -> dict[str, State]:
 
 
 def read_finite(loss: Tensor, renderer: nn.Module, *, step: int, out: Path) -> float:
-    """The loss; stops a run if it or a gradient is not finite, before the optimiser sees them: Adam would keep them for
-    ever.
+    """The loss; stops a run if it or a gradient is not finite, before the optimiser sees them: Adam would keep them.
 
     A sum is not finite if one of its terms is not; it takes 1 ms, `isfinite` 17 ms. So is a norm: on a GPU, one launch.
     """

@@ -32,8 +32,7 @@ def mean_picture(pictures: Pictures, train: Cameras, test: Cameras) -> Pictures:
 def nearest_view(pictures: Pictures, train: Cameras, test: Cameras) -> Pictures:
     """The training picture of the nearest camera, by position and viewing direction.
 
-    A turn of an angle in radians counts as much as a step of that angle times the training cameras' mean distance from
-    their centroid.
+    A turn in radians counts as a step of that many times the cameras' mean distance from their centroid.
     """
     poses, wanted = train.world_from_camera, test.world_from_camera
     positions = poses[:, :3, 3]

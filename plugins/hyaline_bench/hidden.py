@@ -8,8 +8,7 @@ and so the same digest:
     truth/hidden-K     the same with the pictures of the test splits and masks of where light meets glass; stays with
                        the verifier
 
-With light and colours, anybody could path-trace the truth. So in both, diffuse colours and the sky are grey, lamps are
-missing, and no seed is named.
+With light and colours, anybody could path-trace the truth. Both have grey colours and sky, no lamps, no seed.
 """
 
 import dataclasses

@@ -7,8 +7,7 @@
     train_list.txt, val_list.txt, test_list.txt  names of pictures by split, as nerfstudio reads them
     sparse/0/test.txt                            the same of the test splits, as Gaussian splatting can read it
 
-A model has no splits: a tool that does not read the lists takes every eighth picture for its test, and trains on the
-test splits.
+A model has no splits: a tool that reads no lists takes every eighth picture for its test, and trains on the rest.
 
 Pixel (0.5, 0.5) is the centre of the upper left pixel, in COLMAP as in the dataset.
 """

@@ -9,8 +9,7 @@ were opaque and light went straight:
   ways) below `MIN_RETURN`, and where refraction stretches or turns it by more than `MAX_STRETCH`.
 - Depth has steps: disparity is measured in eighths of a pixel.
 
-Noise, highlights, and the bending of the projector's own light are left out. The two limits are choices, not
-measurements of a device.
+Noise, highlights, and the bending of the projector's own light are left out. The two limits are choices, not measured.
 
 Source: Sajjan et al., "Clear Grasp", ICRA 2020: both errors on glass, missing depth and that of the background.
 Khoshelham and Oude Elberink, "Accuracy and Resolution of Kinect Depth Data", Sensors 12(2), 2012: the steps.

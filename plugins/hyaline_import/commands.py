@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 from datagen.data.paths import DATA_ROOT
 from datagen.disk.errors import HyalineError
 from datagen.scene.finding import DEFAULT_RESOLUTION, ImportChoices, SceneSource
-from datagen.terminal.command import next_command, say, say_all, tell
+from datagen.terminal.command import next_command, say, tell
 
 if TYPE_CHECKING:
     import numpy as np
@@ -22,8 +22,7 @@ class DatasetImportChoices:
     """The flags of `datagen import-dataset`."""
 
     mesh: tuple[Path, ...] = ()
-    """A mesh of the scene in the cameras' own axes and units (PLY, OBJ, STL, GLB, ...); may be repeated. Without meshes
-    nothing can be peeled."""
+    """A mesh of the scene in the cameras' axes and units (PLY, OBJ, STL, GLB ...). May be repeated; none: no layers."""
     material: tuple[str, ...] = ()
     """A material by name for all meshes, or for those that match a pattern: 'foot*=gold', as `datagen import` takes
     them. Default: the material in the file, or else glass of the index --ior."""
@@ -53,8 +52,7 @@ def import_file(
     """Import a file from another program as a scene: glTF, GLB, OBJ with MTL, PLY, STL or Mitsuba XML.
 
     Writes a scene folder for `datagen build`. Its import.json lists everything that is rendered differently from what
-    the file asks for. The file is read in a separate process, limited to 8 s of CPU time and 2 GB of memory, and for
-    large files to 30 s and 24 MB per MB.
+    the file asks for. It is read in a process of its own, within 8 s of CPU time and 2 GB (large: 30 s, 24 MB per MB).
 
     Args:
         file: A file that ends in .glb, .gltf, .obj, .ply, .stl or .xml.
@@ -67,7 +65,7 @@ def import_file(
     check_free(root)
     scene, told, record = imported_scene(file, choices, resolution=DEFAULT_RESOLUTION)
     write_imported(scene, record, root)
-    say_all(told)
+    say(*told)
     tell(str(root))
     next_command(shlex.join(["datagen", "build", str(root)]))
 
@@ -94,7 +92,7 @@ def import_dataset(
 
     plan = plan_import(folder, choices)
     dataset = write_import(plan, out or DATA_ROOT / plan.config.scene, overwrite=overwrite)
-    say_all(list(plan.imported.remarks))
+    say(*plan.imported.remarks)
     views = ", ".join(f"{count} {split}" for split, count in dataset.num_views.items())
     say(f"{dataset.root}: {views} views; {len(dataset.objects)} meshes; noise and radiance are unknown")
     tell(str(dataset.root))
@@ -112,7 +110,7 @@ def _find(given: str, resolution: "Resolution", imports: ImportChoices) -> "Scen
     check_ending(Path(given))
     say(f"scene {given}: importing it")
     scene, told, _ = imported_scene(Path(given), imports, resolution=resolution)
-    say_all(told)
+    say(*told)
     return scene
 
 

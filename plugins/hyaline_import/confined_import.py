@@ -1,6 +1,4 @@
-"""Imports as commands make them: in a process of its own, which a hostile file may hang or end, and into a folder that
-import.json makes ours.
-"""
+"""Imports as commands make them: in a process that a hostile file may hang or end, and into a folder of ours."""
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
@@ -37,8 +35,7 @@ def _import(folder: Path, path: Path, choices: ImportChoices, resolution: Resolu
 def scene_from(
     function: Callable[..., None], *arguments: object, where: str
 ) -> tuple[Scene, list[str], dict[str, Json]]:
-    """The scene, with its images, the lines to report, and the record that a function gives `save_answer` in a process
-    of its own."""
+    """The scene with its images, lines to report, and the record that a function gives `save_answer` in its process."""
     with confined(function, *arguments, where=where) as folder:
         # The process has mended and checked it.
         scene = load_scene(folder / "scene", is_checked=True)

@@ -44,8 +44,7 @@ class VoxelGrid:
     """A cube of voxels, its edges along the world's axes."""
 
     origin: Float32[Tensor, "3"]
-    """World position of voxel (n/2, n/2, n/2), metres: the middle of the cube but for half a voxel, as in the code of
-    the method's authors."""
+    """World position (m) of voxel (n/2, n/2, n/2): the cube's middle but for half a voxel, as in its authors' code."""
     voxel_size: Float32[Tensor, ""]
     """Metres."""
     num_voxels: int

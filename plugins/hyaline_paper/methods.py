@@ -59,8 +59,7 @@ class DeepVoxelsConfig(MethodConfig):
     draws_cameras: ClassVar[bool] = True
 
     image_size: int = unflagged(0)
-    """Width and height of the images, a power of two; 0: not known yet. The authors use 512; from 128 upwards the
-    architecture is the same."""
+    """Width and height of the images, a power of two; 0: not known yet. The authors use 512; so from 128 on."""
     num_voxels: int = unflagged(32)
     """Along each edge of the grid."""
     plane_size: int = unflagged(32)

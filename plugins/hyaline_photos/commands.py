@@ -8,7 +8,7 @@ from typing import Literal
 
 from datagen.data.paths import DATA_ROOT, FITTED, find_dataset
 from datagen.disk.errors import HyalineError, UsageError
-from datagen.terminal.command import next_command, say_all, tell
+from datagen.terminal.command import next_command, say, tell
 from model.settings import RUNS, SEED
 
 SCALE = "scale: "
@@ -94,7 +94,7 @@ def capture(
 
     plan = plan_capture(folder, choices)
     dataset = write_import(plan, out or DATA_ROOT / plan.config.scene, overwrite=overwrite)
-    say_all(list(plan.imported.remarks))
+    say(*plan.imported.remarks)
     tell(str(dataset.root))
     root = shlex.quote(str(dataset.root))
     next_command(f"datagen peel {root} && model fit {root}")
@@ -126,7 +126,7 @@ def fit(
     if not re.fullmatch(rf"{FITTED}(-[A-Za-z0-9_]+)*", name):
         raise UsageError(f"--name: is {name!r}; expected {FITTED}, or {FITTED}- and letters or digits")
     opened = open_dataset(find_dataset(dataset))
-    say_all(line for line in (opened.imported.remarks if opened.imported else ()) if line.startswith(SCALE))
+    say(*(line for line in (opened.imported.remarks if opened.imported else ()) if line.startswith(SCALE)))
     place = out or RUNS / opened.name / name.replace(FITTED, "fit", 1)
     fit_glass(opened, name, choices, place, overwrite=overwrite)
     tell(str(place))

@@ -1,7 +1,6 @@
 """A random scene from its seed: draws until one passes the checks of every scene, and keeps why others did not.
 
-Each draw has a generator of its own, made from the seed, the family and the number of the draw, so that the same name
-gives the same scene to the last bit.
+Each draw has a generator of its own, made from the seed, family and number of the draw: equal names give equal bits.
 """
 
 import dataclasses
@@ -36,8 +35,7 @@ def glass_shares(objects: tuple[SceneObject, ...], cameras: Cameras) -> Float[np
     """The share of each picture's pixels in whose middle the nearest surface is glass.
 
     Args:
-        objects: those that are glass or can be in front of glass, in front of all cameras; what is only behind glass
-            may be left out.
+        objects: those that are glass or can be in front of glass, in front of all cameras; others are optional.
     """
     use_mitsuba()
     from datagen.trace.peel import Peeler

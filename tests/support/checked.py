@@ -54,11 +54,9 @@ def check(function: Callable[..., object]) -> Callable[..., object]:
 
 
 class Wrapping(import_hook.JaxtypingTransformer):
-    """Wraps records, and functions with arrays in their annotations; those inside of others, made anew by every call,
-    would cost too much.
+    """Wraps records, and functions with arrays in their annotations; not those inside of others.
 
-    What it makes of a file is kept in __pycache__, in files that have `jaxtyping` in their names: delete them to see a
-    change of this class.
+    It keeps files with `jaxtyping` in their names in __pycache__: delete them after a change.
     """
 
     def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.FunctionDef:

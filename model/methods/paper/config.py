@@ -64,8 +64,7 @@ class PaperConfig(MethodConfig):
     texture_features: int = choice(16, "{}-features", flag="features", limits=(1, 256))
     """Channels of a texture (section 4.3); 64 in the paper's runs on coarse proxies."""
     texture_levels: int = choice(1, "{}-levels", limits=(1, 8))
-    """Textures summed, each half as wide as the one before; the paper has one (section 4.3), Deferred Neural Rendering
-    4."""
+    """Textures summed, each half as wide as the one before; the paper has one (section 4.3), DNR has 4."""
     finer_counts: float = unflagged(1.0, limits=(0.001, 1))
     """Weight of a texture level relative to the next coarser one."""
     texels_per_pixel: float = unflagged(0.5, limits=(1 / 64, 64))

@@ -2,8 +2,7 @@
 
 The logarithm of a picture's linear colour at a point is the point's own, plus a gain of the picture and channel, plus a
 falloff towards the corners that all pictures share (the first term of Goldman 2010, "Vignette and Exposure Calibration
-and Compensation"). Medians over pictures and over points in turn (Tukey's median polish) find them: gloss, shadows and
-wrong depths are outliers.
+and Compensation"). Medians over pictures and points in turn find them (Tukey's median polish): shadows are outliers.
 """
 
 from collections.abc import Sequence

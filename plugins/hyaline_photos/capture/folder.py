@@ -274,8 +274,7 @@ MODEL = "SIMPLE_RADIAL"
 def find_cameras(root: Path, masks: Masks) -> None:
     """Writes a model with the cameras of pictures to FOLDER/colmap/sparse/0, where the next run finds them.
 
-    The lens, the points and the cameras of training pictures come from these alone; then those of test pictures are
-    placed before the points.
+    The lens, the points and the cameras of training pictures come from these alone; those of test pictures follow.
     """
     colmap = _colmap(f"{root}: has no cameras (transforms.json, or COLMAP's sparse/0)")
     pictures = list(masks)

@@ -2,8 +2,7 @@
 
 Points are on the plane one unit ahead: x right, y down. Pixels are columns and rows from the upper left corner.
 
-Source: the camera models of COLMAP (src/colmap/sensor/models.h) and OpenCV; those with up to six radial and two
-tangential coefficients.
+Source: the camera models of COLMAP (src/colmap/sensor/models.h) and OpenCV; up to six radial and two tangential terms.
 """
 
 import math

@@ -1,5 +1,4 @@
-"""Planes through points of the room: which way is up, walls, and the floor as far as pictures see it; rectangles in
-them, and boxes on these.
+"""Planes through points of the room: which way is up, walls, the floor that is seen; rectangles, and boxes on them.
 
 Points are in metres with z up, but for `find_up`.
 """

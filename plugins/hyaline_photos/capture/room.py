@@ -1,12 +1,10 @@
-"""Fits an opaque room to points and depth maps: a floor, the support of the glass, walls, and things; finds the places
-of glass by its masks.
+"""Fits an opaque room to points and depth maps: a floor, support, walls, things; finds where glass is by its masks.
 
 Things are the surfaces that depth maps show. Points are in metres with z up. Of every surface only its front counts,
 which a texture is learned for; what no depth map shows (plain walls) is left to the sky.
 
 Upright ellipsoids replace the true meshes of glass until `model fit` finds them. Panes are level objects so thin that
-they hardly displace the view through them: depth maps look through them. Thick or round glass shows its surroundings
-elsewhere, so it is left out there.
+they hardly displace the view through them: depth maps look through them. Thick or round glass shifts, and is left out.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

@@ -28,8 +28,7 @@ MOST_ROUNDING = 0.9
 SOFTNESS = (3.0, 1.0, 0.3, 0.1, 0.03)
 """Pixels over which a ray turns from meeting the box to missing it, in one round of the search after the other."""
 FINER = (0.03, 0.01, 0.003)
-"""The same for all rays, kept where it explains more of them: with the last of `SOFTNESS`, a pane of 18 mm came out as
-18.6 mm."""
+"""The same for all rays, kept where it explains more of them: with the last of `SOFTNESS`, 18 mm came out as 18.6."""
 COARSE_RAYS, RAYS = 2500, 20_000
 """Rays that the first two rounds look at, and the most for the others, but for `FINER`."""
 STEPS = 30
@@ -42,8 +41,7 @@ TINY = 1e-8
 """Step in metres or radians of numerical derivatives."""
 FLAT, THICK = 0.06, 0.02
 """Thickness of the panes that are tried in place of a box, over its width, and the share of edge pixels that a box may
-get wrong before they are. While edges are soft, rays through a thin pane hardly meet it, so the box grows behind one of
-its faces, out of sight."""
+get wrong before they are. While edges are soft, rays through a thin pane hardly meet it, so the box grows."""
 USELESS = 0.3
 """Share of edge pixels beyond which a box is none; half of them are wrong for no shape at all."""
 MOST_REACH = 1.5

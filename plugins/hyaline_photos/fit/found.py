@@ -149,8 +149,7 @@ NORMALS_ERROR = 0.03
 FROSTED_INDEX_ERROR = 0.1
 """Of the index of frosted solids: less frost with a higher index spreads light as far."""
 WELL = 0.02
-"""Mean penalty of the pixels of glass whose shape is right. More of it means that the shape is wrong, and biases all
-numbers."""
+"""Mean penalty of the pixels of glass whose shape is right. More means a wrong shape, and biases all numbers."""
 
 
 def intervals(numbers: Mapping[str, Found], pixel: float) -> dict[str, tuple[float, float]]:

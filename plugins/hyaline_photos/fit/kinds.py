@@ -37,8 +37,7 @@ from hyaline_photos.fit.views import NearRays, Sightings, rays_near, rays_of, un
 STANDS = 0.1
 """Largest gap between an object's lowest point, as masks show it, and its support, relative to its radius."""
 GAP = 0.01
-"""Gap between an object and its support, relative to its radius. Without a gap, rays hit either of the coinciding
-surfaces at random."""
+"""Gap between an object and its support, relative to its radius. Without a gap, rays hit either surface at random."""
 
 StandsOn = Callable[[Float64[np.ndarray, "3"], float], float | None]
 """Height along up of a known surface no farther than this above or below a point; None: there is none."""
@@ -47,8 +46,7 @@ LEAST_VIEWS = 3
 GOOD, GOOD_FOR_WRONG_MASKS = 0.012, 0.03
 """Share of edge pixels that a shape may get wrong before other kinds are tried; where masks may be wrong, too."""
 BALL, OUTLINE, HULL, HULL_FOR_WRONG_MASKS = 0.0, 1.0, 3.0, 6.0
-"""Complexity of a ball, of a box or an outline about an axis, and of a hull; of that where masks may be wrong, too: it
-follows their errors."""
+"""Complexity of a ball, of a box or an outline about an axis, and of a hull; of that where masks may be wrong, too."""
 SIMPLER = 0.006
 """Share of edge pixels that a unit of complexity has to explain."""
 

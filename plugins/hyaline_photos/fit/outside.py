@@ -44,15 +44,13 @@ THREAD = 0.1
 LEAST_BESIDE = 0.02
 """Least share of the rays at edges that miss the object; usually about half of them do."""
 FAR = 0.5
-"""Cap on the distance between a ray and a hull, relative to the object's size; it limits the effect of wrong mask
-pixels."""
+"""Cap on the distance between a ray and a hull, relative to the object's size; against wrong mask pixels."""
 TALL, MOST_SHORTENED = 0.1, 0.3
 """Share of the views that may show less of an object's reach, and the least factor by which a view shortens it."""
 SLOW = 1e-4
 """Cosine of rays that are taken to be perpendicular to the axis."""
 ROUND = 0.015
-"""By which the hull of a ball may differ from a sphere (root mean square). This and what follows in parts of the
-largest radius."""
+"""By which the hull of a ball may differ from a sphere (root mean square). From here in parts of the largest radius."""
 RIM_LEFT_OUT = 0.08
 """Below the top, where a hull follows the rim's rounding instead of the side."""
 FOOT_LEFT_OUT = 0.02

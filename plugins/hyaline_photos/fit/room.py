@@ -40,8 +40,7 @@ FROSTED_RAYS = 36
 COARSE_ROUNDS = 3
 """Rounds of a search before light is followed as far as `FINE`."""
 FINE = LIMITS._replace(max_branches=12, makes_up=True)
-"""How far light is followed in a search's last rounds. True vessels of the example are then 0.002 too dark (sRGB) on
-average, true solids not at all."""
+"""How far light is followed in a search's last rounds. True vessels are then 0.002 too dark (sRGB), solids are not."""
 COARSE = FINE._replace(max_branches=8, min_throughput=1 / 64)
 """The same before. It takes half as long, but what is not followed is brighter than the rest where bright walls or sky
 are mirrored: true vessels are 0.012 too dark, and a higher index makes up for it."""

@@ -1,5 +1,4 @@
-"""Glass of revolution as a few numbers, and its mesh. Vertex and face counts are constant, so that a loaded scene can
-be updated in place."""
+"""Glass of revolution as a few numbers, and its mesh. Vertex and face counts are constant: a loaded scene stays."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -35,8 +34,7 @@ SEGMENTS = 96
 CREASE_COS = np.cos(np.radians(35))
 """Edges of an outline that turn by more are shaded as edges."""
 TURNS = 0.05
-"""A turn by one radian gets as many points as this share of the outside's length: evenly spaced points would cut off
-the edge of a thin foot."""
+"""A turn by one radian gets as many points as this share of the outside's length: else a thin foot loses its edge."""
 
 Outline = Float64[np.ndarray, "_ 2"]
 """Points (radius, height along the axis) in metres, from the axis at the bottom and back to it."""
@@ -165,8 +163,7 @@ class Revolution(Glass):
         return {**super().bodies(object_ids), **drinks}
 
     def drink_outline(self) -> Outline:
-        """The section of the drink; it extends slightly into floor and wall. Without a level, it is a speck in the
-        bottom, where the glass wins."""
+        """The section of the drink; it extends slightly into floor and wall. Without a level: a speck in glass."""
         if self.hollow is None or "level" not in self.numbers:
             middle = self.outside[0, 1] + SPECK * self.height * 10
             angles = np.linspace(-np.pi / 2, np.pi / 2, INSIDE + CORNER + 2)

@@ -136,8 +136,7 @@ def doubted(
 ) -> Float32[np.ndarray, "view h w"]:
     """Depths of known surfaces whose outlines may be wrong.
 
-    A ray that misses all unknown objects says nothing behind the nearest surface within `DOUBT` pixels, which may hide
-    one of them.
+    A ray that misses all unknown objects says nothing behind the nearest surface within `DOUBT` pixels.
     """
     nearest = ndimage.minimum_filter(depth, size=(1, 2 * DOUBT + 1, 2 * DOUBT + 1))
     return np.where(first > 0, depth, nearest)
@@ -146,8 +145,7 @@ def doubted(
 def height_below(
     surfaces: tuple[Mesh, ...], up: Float64[np.ndarray, "3"], point: Float64[np.ndarray, "3"], reach: float
 ) -> float | None:
-    """Height along `up` of the first surface straight below a point, or up to `reach` above it; None where the first
-    one is farther than that below it."""
+    """Height along `up` of the first surface straight below a point, up to `reach` above it; None if farther below."""
     from datagen.trace.peel import Peeler
 
     if not any(map(is_there, surfaces)):
@@ -331,8 +329,7 @@ def outvoted(told: Float[np.ndarray, "view ray place"]) -> Int[np.ndarray, " ove
 def unexplained(mesh: Mesh, rays: NearRays) -> float:
     """Share of the rays at a mask's edge that meet a mesh and should miss it, or the other way round.
 
-    Where the mask shows the object, a known surface in front of it is misplaced, as parts of a fitted room are, and
-    does not count.
+    Where the mask shows the object, a known surface in front of it is misplaced, and does not count.
     """
     from datagen.trace.peel import Peeler
 

@@ -14,7 +14,6 @@ from support.builds import tree
 from support.commands import Answer, call
 from support.synthetic import synthetic_scene
 
-from datagen.builder.variants import plan_stereo
 from datagen.builder.verify import verify_dataset
 from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS
 from datagen.data.dataset import open_dataset
@@ -92,8 +91,6 @@ def test_every_view_has_a_right_one_with_noise_of_its_own(made: tuple[Path, dict
             moved = np.linalg.inv(left.camera.world_from_camera) @ other.camera.world_from_camera
             assert np.abs(moved - [[1, 0, 0, 0.06], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]).max() < 1e-12
             assert other.record.seed != left.record.seed and other.layers().object_id.any()
-    with pytest.raises(HyalineError, match="--stereo: is 60; expected more than 0 and at most 10 metres"):
-        plan_stereo(dataset, 60)
 
 
 def test_a_labelled_film_shows_the_views_of_a_variant_that_goes_on(made: tuple[Path, dict[str, bytes]]) -> None:

@@ -25,9 +25,10 @@ def test_a_process_of_its_own_answers_as_a_call_in_this_one(line: str) -> None:
     ("line", "status", "message"),
     [
         ("datagen build --scene glas_table", 2, "did you mean 'glass_table'?"),
-        ("datagen build --preset dmeo", 2, "invalid choice 'dmeo' for argument '--preset'. Expected one of ("),
+        ("datagen build --preset dmeo", 2, "invalid choice 'dmeo' for argument '--preset'; choose from tiny, "),
         ("datagen build --scene ./nowhere", 1, "nowhere/scene.json: the file is missing"),
         ("datagen build --resolution 320x9999", 1, "resolution: is 9999; expected 1 to 8192 pixels"),
+        ("datagen build --stereo 60", 1, "error: --stereo: is 60; expected more than 0 and at most 10 metres"),
         ("datagen build --shard 5/4", 1, "shard: is '5/4'; expected the part and the number of parts, such as 2/4"),
         ("datagen build --count 2", 2, "--family, --count: only for random scenes"),
         ("datagen build --shard 1/2 --overwrite", 2, "--overwrite: cannot be combined with --shard; delete"),

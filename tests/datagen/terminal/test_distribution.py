@@ -113,7 +113,7 @@ def test_a_name_of_a_plugin_that_is_not_here_names_the_plugin(tmp_path: Path, mo
     install(tmp_path, "hyaline.ghosts", "ghost", "hyaline_glass:GHOST", "")
     (tmp_path / "hyaline_glass.py").unlink()
     monkeypatch.syspath_prepend(tmp_path)
-    ghosts: Group = Group(name="hyaline.ghosts", what="ghost", built_in={}, guide="docs/index.md")
+    ghosts: Group = Group(name="hyaline.ghosts", what="ghost", guide="docs/index.md")
     assert ghosts.names() == ()
     with pytest.raises(UsageError, match="ghost 'ghost': is of the plug-in hyaline_glass, which is not here"):
         ghosts.find("ghost")

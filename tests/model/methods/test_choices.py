@@ -136,7 +136,7 @@ def test_every_number_that_a_flag_takes_has_limits(method: str) -> None:
     [
         ("papr", 2, "no model train method 'papr'; did you mean 'paper'? Choose from "),
         ("paper --sedd 3", 2, "model train paper: Unrecognized options: --sedd, 3; did you mean --seed INT"),
-        ("paper --norm bach", 2, "model train paper: invalid choice 'bach' for argument '--norm'. Expected one of ("),
+        ("paper --norm bach", 2, "model train paper: invalid choice 'bach' for argument '--norm'; choose from "),
         ("paper one two", 2, "model train paper: Unrecognized options: two. See `model train paper --help`"),
         ("paper --steps 0", 1, "--steps: is 0; expected at least 1"),
     ],

@@ -146,7 +146,7 @@ def test_the_commands_edit_and_draw_what_is_there(made: Path, monkeypatch: pytes
     monkeypatch.chdir(made)
     data = call("datagen add edit --edit remove:ball")
     assert data.out == "data/edit/variants/remove-ball\n"
-    assert data.err.splitlines()[-1] == "next: model predict RUN --variant remove-ball"
+    assert data.err.splitlines()[-1] == "next: model predict runs/edit/ours --variant remove-ball"
     run = "model predict runs/edit/paper --dataset edit --variant"
     picture = made / "runs" / "edit" / "paper" / "variants" / "remove-ball" / "predictions" / SPLIT / "0001.png"
     drawn = picture.read_bytes()

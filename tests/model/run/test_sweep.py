@@ -1,10 +1,7 @@
 """Tests of experiment files and of sweeps: grids equal to commands, sweeps that survive a kill."""
 
 import io
-import os
 import shlex
-import signal
-import subprocess
 import sys
 import threading
 from collections import Counter
@@ -106,33 +103,6 @@ def test_a_command_before_that_fails_stops_the_sweep(tmp_path: Path, monkeypatch
 
 
 # Sweeps
-
-
-@pytest.mark.full
-def test_a_sweep_that_was_stopped_and_then_killed_goes_on_and_tells_what_failed(tmp_path: Path) -> None:
-    """With real processes; that each state of the disk leads to the same bytes, the scenario `sweep` of R1 shows."""
-    write_synthetic_dataset(tmp_path / "data" / "synthetic")
-    line = "model train paper --steps 200 --batch 64 --texture-size 16 --hidden 32"
-    command = [sys.executable, "-m", "model", "sweep", write(tmp_path, f"{line} --seed {{0,1}}\n{line} --geometry box")]
-    environment = os.environ | {"OMP_NUM_THREADS": "1"}
-    first = "runs/synthetic/paper-w32-t16-batch64-200-steps"
-    for number, status in ((signal.SIGTERM, 143), (signal.SIGKILL, -signal.SIGKILL)):
-        started = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
-        assert started.stderr is not None
-        for said in started.stderr:
-            if said.startswith("[2/3] ") and "training views" in said:
-                break
-        started.send_signal(number)
-        started.communicate(timeout=120)
-        assert started.returncode == status
-        last = Path(f"{first}-seed1")
-        assert (last / "run.json").is_file() and not (last / "predictions.json").exists()
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout.splitlines()) == (1, [first, f"{first}-seed1"])
-    assert f"[1/3] {first}: finished before, nothing to do; --overwrite" in done.stderr
-    failed, error = done.stderr.splitlines()[-2:]
-    assert failed.startswith("failed: model train paper --steps 200 ") and "no box proxies; make them" in failed
-    assert error.startswith("error: sweep grid: 1 of 3 jobs failed")
 
 
 def test_each_device_runs_one_process_at_a_time_and_none_is_idle(
