@@ -40,6 +40,8 @@ STANDARD = {"light-path-3500-steps": "light-path", "paper-best-7000-steps": "pap
 """Runs of `standard`, each with twice the usual steps, and their methods."""
 MEETS_GLASS = "changed_psnr_db"
 """PSNR of pixels whose light meets glass, by which the benchmark ranks."""
+EDITED = "edited_psnr_db"
+"""PSNR where edited objects are or were, the mean of a scene's edits."""
 PAIRS = (
     ("paper", "dnr"),
     ("paper", "mlp-first"),
@@ -110,7 +112,11 @@ def _by_scene(file: str, run: str, scenes: str = "", key: str = "psnr_db") -> di
         found = {}
         for scene in _read(file)["scenes"]:
             runs = [each["splits"] for each in scene["runs"] if re.sub(r"-seed\d+$", "", each["run"]) == run]
-            if runs:
+            if key == EDITED:
+                edits = scene["analyses"]["variants"].values()
+                regions = [each["regions_psnr_db"][run]["object"] for each in edits if "regions_psnr_db" in each]
+                found[scene["scene"]] = [np.array([[np.mean([each[split] for each in regions])]]) for split in SPLITS]
+            elif runs:
                 found[scene["scene"]] = [np.array([each[split][key]["pictures"] for each in runs]) for split in SPLITS]
     return {scene: scores for scene, scores in found.items() if scene.startswith(tuple(scenes.split()) or "")}
 
