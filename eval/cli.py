@@ -39,7 +39,7 @@ def report(
         out: Folder for index.html and results.json. Default: RUNS/report, with --dataset
             RUNS/report-NAME.
         table: Print only this table, beside the paper's numbers: table1 (extrinsics), table2 (DNR), square (layers or
-            network), deepvoxels, larger (pictures) or claims, whose runs `model sweep` trains; or errors (by what
+            network), larger (pictures) or claims, whose runs `model sweep` trains; or errors (by what
             pixels show). May be repeated. With --json, these tables are part of the results.
         json: Print the results as JSON, as in results.json, instead of tables.
     """

@@ -162,10 +162,15 @@ class Transforms:
             )
         width, height = number("w", 2 * number("cx", 0.0)), number("h", 0.0)
         has_size = all(key in frame or key in self.content for key in ("w", "h"))
-        if not has_size and size is not None:
-            width, height = size
         # Where both are given, the angle is exact, and the focal length may be rounded.
         angle = number("camera_angle_x", 0.0)
+        if not has_size and size is not None:
+            # In the file's pixels, by what it says; a principal point is within an eighth of the middle.
+            by_center = 2 * number("cx", 0.0) / size[0]
+            told = number("w", 0.0) / size[0] or number("h", 0.0) / size[1]
+            scale = told or (by_center if abs(by_center - 1) > 0.25 else 1.0) or 1.0
+            width, height = scale * size[0], scale * size[1]
+            focal = focal if told or not angle else 0.0
         by_focal = 2 * math.atan(0.5 * width / focal) if focal > 0 and width > 0 else angle
         angle = angle if abs(angle - by_focal) < 1e-9 else by_focal
         if not 0 < angle < math.pi:

@@ -43,7 +43,7 @@ class Hits:
     """All hits of a bundle of rays, nearest first."""
 
     shape: Int32[np.ndarray, "layer ray"]
-    """Index of the mesh, -1 where empty."""
+    """Place among the meshes that are there, -1 where empty; `Peeler.object_ids[shape + 1]` are object ids."""
     prim: Int32[np.ndarray, "layer ray"]
     """Index of the face."""
     barycentric: Float32[np.ndarray, "layer ray 2"]
@@ -62,7 +62,7 @@ class Peeler:
 
         # Mitsuba gets only objects with a mesh; ids still count all objects.
         kept = [index for index, mesh in enumerate(meshes) if is_there(mesh)]
-        self._object_id = np.array([0, *(index + 1 for index in kept)], np.uint8)
+        self.object_ids = np.array([0, *(index + 1 for index in kept)], np.uint8)
         meshes = tuple(meshes[index] for index in kept)
         self._scene = load_geometry_mitsuba(meshes)
         self._shape_of = shapes_by_id(self._scene)
@@ -116,7 +116,7 @@ class Peeler:
             hits.prim,
             hits.barycentric,
             hits.t,
-            self._object_id,
+            self.object_ids,
             self._first_face,
             self._corner_uv,
             layers.uv.reshape(*flat, 2),
@@ -133,7 +133,7 @@ class Peeler:
         shape = (len(directions), num_layers)
         uv, object_id = np.empty((*shape, 2), np.float32), np.empty(shape, np.uint8)
         _to_stacks(
-            hits.shape, hits.prim, hits.barycentric, self._object_id, self._first_face, self._corner_uv, uv, object_id
+            hits.shape, hits.prim, hits.barycentric, self.object_ids, self._first_face, self._corner_uv, uv, object_id
         )
         return uv, object_id
 

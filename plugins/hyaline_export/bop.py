@@ -31,6 +31,7 @@ from scipy.spatial.transform import Rotation
 
 from datagen.data.cameras import Camera
 from datagen.data.config import DatasetObject
+from datagen.data.dataset import check_has_meshes
 from datagen.data.meshes import Mesh, face_corners, is_there
 from datagen.data.ply import write_ply
 from datagen.disk.records import Json, dump_json
@@ -103,6 +104,7 @@ def _around(axis: list[float]) -> Json:
 
 
 def _bop(source: Source, *, has_sensor: bool) -> Iterator[tuple[str, bytes]]:
+    check_has_meshes(source.dataset)
     use_mitsuba()
     there = zip(source.dataset.objects, surfaces_of(source.dataset).meshes, strict=True)
     models = []
@@ -115,7 +117,8 @@ def _bop(source: Source, *, has_sensor: bool) -> Iterator[tuple[str, bytes]]:
     yield "models/models_info.json", dump_json({str(model.object_id): model.info() for model in models})
     matrix, lens = source.lens.intrinsics.copy(), source.lens
     matrix[:2, 2] -= 0.5
-    numbers: dict[str, Json] = dict(zip(("fx", "fy", "cx", "cy"), matrix[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()))
+    values = matrix[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
+    numbers: dict[str, Json] = dict(zip(("fx", "fy", "cx", "cy"), values, strict=True))
     yield "camera.json", dump_json({**numbers, "width": lens.width, "height": lens.height, "depth_scale": 1.0})
     scenes: dict[str, list[dict[str, Json]]] = {}
     for item in tracked(source.views):
@@ -174,7 +177,8 @@ def _within(pixels: Pixels, shape: tuple[int, ...]) -> Bool[np.ndarray, "h w"]:
 
 def _counts(silhouette: Pixels, seen: Pixels, valid: int) -> dict[str, Json]:
     """An object's entry in scene_gt_info.json; boxes from the first pixel to the last, as the toolkit counts."""
-    boxes = [(*at.min(axis=0)[::-1], *np.ptp(at, axis=0)[::-1]) for at in (silhouette, seen)] if len(seen) else ()
+    parts = (silhouette, seen) if len(seen) else ()
+    boxes = [(*at.min(axis=0)[::-1], *np.ptp(at, axis=0)[::-1]) for at in parts]
     obj, visib = ([int(value) for value in box] for box in boxes or [[-1] * 4] * 2)
     return {
         "px_count_all": len(silhouette),

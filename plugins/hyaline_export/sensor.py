@@ -43,7 +43,9 @@ def sensor_depth(found: ViewQuantities, *, baseline: float = BASELINE) -> Float3
     towards = np.where(found.glass[..., None], ends.position, found.position).reshape(-1, 3) - place
     distance = np.linalg.norm(towards, axis=-1)
     hits = surfaces.peeler.trace(place.astype(np.float32), (towards / distance[:, None]).astype(np.float32), NUM_LAYERS)
-    blocks = (hits.shape >= 0) & ~surfaces.is_glass[hits.shape + 1] & (hits.t < 0.999 * distance - 1e-3)
+    ids = surfaces.peeler.object_ids[hits.shape + 1]
+    is_opaque = (ids > 0) & ~surfaces.is_glass[ids]
+    blocks = is_opaque & (hits.t < 0.999 * distance - 1e-3)
     depth = np.where((depth > 0) & ~blocks.any(axis=0).reshape(depth.shape), depth, 0)
     at_a_metre = camera.focal * baseline
     disparity = np.rint(STEPS * at_a_metre / np.where(depth > 0, depth, np.inf)) / STEPS

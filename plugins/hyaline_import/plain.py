@@ -8,7 +8,7 @@ import math
 import re
 from collections.abc import Mapping
 from functools import partial
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +75,7 @@ def read_obj(path: Path, remarks: Remarks, *, materials: Mapping[str, ForeignMat
             numbers[key].append(floats(words, WIDTHS[key], where=where))
             has_colors |= key == "v" and len(words) >= 6
         elif key == "f":
+            rest = [*takewhile(lambda word: not word.startswith("#"), rest)]
             if len(rest) < 3:
                 raise HyalineError(f"{where}: is a face of {len(rest)} corners; expected at least 3")
             surface = surfaces.setdefault((names["o"] or names["g"], names["usemtl"]), [])
@@ -168,7 +169,8 @@ def _material(name: str, entry: Entry, path: Path, remarks: Remarks) -> ForeignM
     where = f"{path}: material {name}"
 
     def number(key: str, default: float) -> float:
-        return floats(entry[key], 1, where=f"{where}: {key}")[0] if key in entry else default
+        words = [word for word in entry.get(key, ()) if word != "-halo"]
+        return floats(words, 1, where=f"{where}: {key}")[0] if key in entry else default
 
     def color(key: str, default: float) -> Color:
         words = entry.get(key, [str(default)])

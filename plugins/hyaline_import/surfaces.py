@@ -156,7 +156,8 @@ def closed(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
         at = int(np.linalg.norm(positions[loop] - middle, axis=-1).argmin())
         rim = place[np.roll(loop, -at)]
         if len(loop) == 3 or (positions[loop[at]] == middle).all():
-            lids.append(np.stack([rim[2:], rim[1:-1], np.full(len(rim) - 2, rim[0])], axis=-1))
+            tips = np.full(len(rim) - 2, rim[0])
+            lids.append(np.stack([rim[2:], rim[1:-1], tips], axis=-1))
             continue
         center = len(mesh.vertices) + len(vertices) - 1
         lids.append(np.stack([np.roll(rim, -1), rim, np.full(len(rim), center)], axis=-1))

@@ -1,8 +1,6 @@
-"""What the paper tried without success: DeepVoxels (section 5.1), and larger pictures (section 8)."""
+"""What the paper tried without success: larger pictures (section 8)."""
 
-import dataclasses
 from collections.abc import Iterator, Mapping
-from statistics import fmean
 
 import numpy as np
 from jaxtyping import UInt8
@@ -10,41 +8,12 @@ from jaxtyping import UInt8
 from datagen.data.config import TEST_SPLITS, Resolution, Split
 from datagen.data.variants import evenly
 from datagen.disk.errors import HyalineError
-from eval.score.metrics import psnr, psnr_uint8_wrap
 from eval.score.runs import read_prediction
 from eval.score.scores import RunScores, SceneScores, SplitScores, Truth, score_picture
 from eval.tables.grids import CEILING, MISSING, Column, Grid, format_number
 from eval.tables.plugins import Table
 from eval.variants import VariantScores, score_variants
-from hyaline_paper.comparisons import DEEP_VOXELS, NOT_RUN, Comparison, comparison_grid, data_note
-
-VOXELS = Comparison(
-    title="DeepVoxels (section 5.1)",
-    lines=(DEEP_VOXELS,),
-    notes=("The paper shows blurred pictures of a room with glass, and names no number.",),
-)
-
-
-def deep_voxels_grid(scene: SceneScores) -> Grid:
-    """DeepVoxels on a scene beside the mean of all training pictures, shown for every camera."""
-    grid = comparison_grid(VOXELS, scene)
-    mean = np.rint(np.mean([view.image for view in scene.dataset.views("train")], axis=0)).astype(np.uint8)
-    near, far, *wrapped = (
-        fmean(metric(mean, view.image) for view in scene.dataset.views(split))
-        for metric in (psnr, psnr_uint8_wrap)
-        for split in TEST_SPLITS
-    )
-    cells = [f"{value:.2f}" for value in (near, far, near - far, *wrapped)]
-    floor = ("mean of the training pictures", MISSING, MISSING, *cells, *[MISSING] * 3)
-    return dataclasses.replace(grid, rows=(*grid.rows, floor))
-
-
-DEEP_VOXELS_TABLE = Table(
-    shows=DEEP_VOXELS.fits,
-    grids=lambda scenes, _: [deep_voxels_grid(scene) for scene in scenes],
-    needs_more=True,
-)
-
+from hyaline_paper.comparisons import NOT_RUN, data_note
 
 KEYS = {"psnr_db": ("PSNR dB ↑", 2), "glass_psnr_db": ("PSNR glass dB ↑", 2), "ssim": ("SSIM ↑", 3)}
 DRAWN, ENLARGED = "at that size", "enlarged"

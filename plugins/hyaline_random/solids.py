@@ -86,7 +86,9 @@ def twisted(mesh: Mesh, turns_per_metre: float, *, crease_deg: float) -> Mesh:
     def turn(p: Points) -> Points:
         angle = 2 * np.pi * turns_per_metre * p[:, 2]
         cos, sin = np.cos(angle), np.sin(angle)
-        return np.stack([cos * p[:, 0] - sin * p[:, 1], sin * p[:, 0] + cos * p[:, 1], p[:, 2]], axis=-1)
+        x, y, z = p.T
+
+        return np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=-1)
 
     return deformed(mesh, turn, crease_deg=crease_deg)
 
@@ -179,7 +181,8 @@ def _gem(rng: np.random.Generator) -> Mesh:
         for a in 2 * np.pi * (np.arange(sides) + shift) / sides
     ]
     # It stands on its table, or leans to a side as if it lay on its pavilion.
-    return turned(turned(hull(np.array(corners)), (0, 1, 0), pick((180.0, 40.0), rng=rng)), (0, 0, 1), 10)
+    stone = turned(hull(np.array(corners)), (0, 1, 0), pick((180.0, 40.0), rng=rng))
+    return turned(stone, (0, 0, 1), 10)
 
 
 def _pebble(rng: np.random.Generator) -> Mesh:

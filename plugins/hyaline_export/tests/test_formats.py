@@ -1,5 +1,6 @@
 """Tests that each export shows the dataset's world: vertices, pictures, depth, masks and points, by its own reader."""
 
+import dataclasses
 import importlib
 import json
 import re
@@ -23,6 +24,7 @@ from support.export_readers import (
 from support.traced_dataset import BALL, write_traced_dataset
 
 from datagen.data.dataset import Dataset, View
+from datagen.data.meshes import no_mesh
 from datagen.disk.errors import HyalineError
 from datagen.quantities import quantities, surfaces_of
 from datagen.scene.modelling import lathe
@@ -166,7 +168,8 @@ def test_bop_models_are_in_millimetres_with_their_diameters_and_symmetries(
     assert [sym["axis"] for sym in found["ball"]["symmetries_continuous"]] == np.eye(3).tolist()
     assert len(found["pane"]["symmetries_discrete"]) == 1 and not found["floor"] and not found["cube"]
     turns = np.reshape(found["slab"]["symmetries_discrete"], (3, 4, 4))
-    assert np.abs(turns[:, :2, :2] - [[[0, -1], [1, 0]], [[-1, 0], [0, -1]], [[0, 1], [-1, 0]]]).max() < 1e-9
+    quarter, half, three_quarters = [[0, -1], [1, 0]], [[-1, 0], [0, -1]], [[0, 1], [-1, 0]]
+    assert np.abs(turns[:, :2, :2] - [quarter, half, three_quarters]).max() < 1e-9
 
 
 @pytest.mark.parametrize(("sides", "key"), [(84, "continuous"), (7, "discrete"), (1, None)])
@@ -190,6 +193,12 @@ def test_a_sensor_sees_through_a_slab_not_into_a_ball_nor_where_the_projector_is
         camera, depth = found.view.camera, sensor_depth(found)
         stored = read_picture(scene / f"depth/{read.frame['number']:06d}.png") / 1000
         assert np.abs(stored - depth).max() <= 0.0005 + 1e-6 and not depth[found.background].any()
+        # Ids count objects that an edit has removed, too.
+        here = surfaces_of(dataset)
+        there = dataclasses.replace(here.scene, objects=(here.scene.objects[0], *here.scene.objects))
+        found.__dict__["surfaces"] = dataclasses.replace(here, scene=there, meshes=(no_mesh(), *here.meshes))
+        assert np.array_equal(sensor_depth(found), depth)
+        del found.__dict__["surfaces"]
         true = np.where(found.glass, found.light_ends.depth_along_axis, found.depth_along_axis)
         steps, exact = (8 * camera.focal * BASELINE / values[depth > 0] for values in (depth, true))
         assert np.abs(steps - np.rint(steps)).max() < 0.01 and np.abs(steps - exact).max() < 0.51

@@ -66,7 +66,8 @@ def plan_import(folder: Path, choices: DatasetImportChoices) -> Plan:
     cameras: dict[Split, Cameras] = {}
     for split in SPLITS:
         poses = np.stack([view.world_from_camera for view in views[split]])
-        poses[:, :3, :3], poses[:, :3, 3] = turn @ poses[:, :3, :3], choices.scale * poses[:, :3, 3] @ turn.T
+        poses[:, :3, :3] = turn @ poses[:, :3, :3]
+        poses[:, :3, 3] = choices.scale * poses[:, :3, 3] @ turn.T
         cameras[split] = foreign.lens.cameras(poses)
     name = scene_name(folder.resolve())
     scene, about_scene = None, []

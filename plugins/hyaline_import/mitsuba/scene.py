@@ -89,7 +89,8 @@ def _add_shape(node: Node, objects: list[ForeignObject], lights: list[RectangleL
         uv = item.uv
         if uv is not None:
             # The transform of a texture is one of Mitsuba's uv, whose v points down.
-            flat = np.stack([uv[:, 0], 1 - uv[:, 1], np.zeros(len(uv)), np.ones(len(uv))], axis=-1)
+            zeros, ones = np.zeros(len(uv)), np.ones(len(uv))
+            flat = np.stack([uv[:, 0], 1 - uv[:, 1], zeros, ones], axis=-1)
             flat = flat @ found.image_from_uv.T
             uv = np.stack([flat[:, 0], 1 - flat[:, 1]], axis=-1)
         objects.append(replace(item, uv=uv, material=material))
@@ -99,7 +100,8 @@ def _light(node: Node, emitter: Node) -> RectangleLight:
     """A rectangle that shines along its normal."""
     world = node.matrix("to_world")
     corner, edge_u, edge_v = world @ [-1, -1, 0, 1], world @ [2, 0, 0, 0], world @ [0, 2, 0, 0]
-    if node.flag("flip_normals"):
+    is_mirrored = np.linalg.det(world[:3, :3]) < 0
+    if node.flag("flip_normals") != is_mirrored:  # Mitsuba turns mirrored shapes round, too.
         edge_u, edge_v = edge_v, edge_u
     corner, edge_u, edge_v = (as_vector(vector[:3]) for vector in (corner, edge_u, edge_v))
     return RectangleLight(corner=corner, edge_u=edge_u, edge_v=edge_v, radiance=emitter.color("radiance", 1.0))

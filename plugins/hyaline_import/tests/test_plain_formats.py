@@ -44,7 +44,7 @@ v 0 0 1
 v 1 0 1
 v 1 1 1
 v 0 1 1
-f 4 3 2 1
+f 4 3 2 1 # a side
 f 5 6 7 8
 f 1 2 6 5
 f 2 3 7 6
@@ -134,6 +134,7 @@ PROGRAMS: dict[str, tuple[str, tuple[float, float, float] | None]] = {
     "Maya: a lambert with a picture": (MAYA + PICTURE, None),
     "Maya: a clear lambert": (MAYA.replace("Tf 1.00 1.00 1.00", "Tf 0.00 0.00 0.00"), None),
     "Maya: a blinn with a dissolve": (MAYA.replace("Tf 1.00 1.00 1.00", "d 0.5"), CLEAR),
+    "a dissolve with a halo": (MAYA.replace("Tf 1.00 1.00 1.00", "d -halo 0.5"), CLEAR),
     "Maya: glass with an index": ("illum 4\nKd 0 0 0\nTf 0.00 0.00 0.00\nNi 1.50", CLEAR),
     "MeshLab: a scan": (MESHLAB + PICTURE, None),
     "MeshLab: a mesh without a picture": (MESHLAB, None),

@@ -203,27 +203,6 @@ def test_methods_are_told_by_their_records_whoever_made_them(
     assert [row[-2:] for row in rows if row[1] == "ours"] == [["33.19", "32.99"]] * 2
 
 
-def test_deep_voxels_has_a_table_beside_the_mean_picture(
-    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    write_run(dataset, tmp_path, "voxels", "deepvoxels", 3, 4, geometry="none")
-    tables(dataset, tmp_path, "deepvoxels")
-    text = capsys.readouterr().out
-    rows = {row[0]: row[1:8] for row in rows_of(text)[1:]}
-    (view,) = (view.image.astype(np.float64) for view in dataset.views("train"))
-    floors = [
-        statistics.fmean(
-            -10 * math.log10(np.square((view - truth.image) / 255).mean()) for truth in dataset.views(split)
-        )
-        for split in TEST_SPLITS
-    ]
-    near, far = decibels(3), decibels(4)
-    scores = [f"{value:.2f}" for value in (near, far, near - far, wrapped(3), wrapped(4))]
-    assert rows["DeepVoxels, small"] == ["voxels", "1", *scores]
-    drop = f"{floors[0] - floors[1]:.2f}"
-    assert rows["mean of the training pictures"][:5] == [*[MISSING] * 2, *(f"{floor:.2f}" for floor in floors), drop]
-
-
 # The claims
 
 

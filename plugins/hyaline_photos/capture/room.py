@@ -344,7 +344,8 @@ def _floors(points: Points, floor: float, walls: Sequence[Wall], middle: np.ndar
     ground = floor_within(points[np.abs(points[:, 2] - floor) < 2 * near], walls, middle)
     parts = {"floor": ground.sheet(floor)}
     if (points[:, 2] < floor - 4 * near).mean() < MAX_BEHIND:
-        corners = middle + FAR * radius * np.array([(-1, -1, 0), (-1, 1, 0), (1, -1, 0), (1, 1, 0)])
+        signs = np.array([(-1, -1, 0), (-1, 1, 0), (1, -1, 0), (1, 1, 0)])
+        corners = middle + FAR * radius * signs
         # A part of its own, a little lower, so that its large area takes no texels from the floor.
         parts["floor_around"] = floor_within(corners, walls, middle).sheet(floor - GAP)
     return parts

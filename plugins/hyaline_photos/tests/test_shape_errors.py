@@ -34,7 +34,8 @@ def test_distances_agree_with_a_loop_over_all_triangles() -> None:
 
     rng = np.random.default_rng(0)
     # Triangles from a centimetre to ten metres, so that every class of sizes takes part.
-    corners = rng.normal(size=(60, 1, 3)) + rng.normal(size=(60, 3, 3)) * 10 ** rng.uniform(-2, 1, (60, 1, 1))
+    middles, sides = rng.normal(size=(60, 1, 3)), rng.normal(size=(60, 3, 3))
+    corners = middles + sides * 10 ** rng.uniform(-2, 1, (60, 1, 1))
     points = rng.normal(size=(300, 3)) * 3
     distance, found = nearest_points(points, corners)
     slow = [np.linalg.norm(closest_point(corners, np.tile(p, (60, 1))) - p, axis=-1).min() for p in points]

@@ -200,12 +200,14 @@ def test_the_world_is_scaled_and_turned_and_the_background_may_be_black(blender:
     assert np.allclose(np.linalg.det(cameras.world_from_camera[:, :3, :3]), 1)
 
 
+@pytest.mark.parametrize("size", [{"w": 2 * SIDE, "h": SIDE}, {"w": 2 * SIDE}, {"h": SIDE}, {}])
 def test_pictures_may_be_wider_than_high_and_smaller_than_w_and_h_with_a_principal_point_anywhere(
-    blender: Path, tmp_path: Path
+    blender: Path, tmp_path: Path, size: dict[str, int]
 ) -> None:
     for path in blender.rglob("*.png"):
         Image.open(path).crop((0, 2, SIDE, SIDE - 2)).save(path)
-    edit_json(lambda data: data.update(w=2 * SIDE, h=SIDE, fl_x=18.0, cx=6.0, cy=5.5), *ALL)(blender)
+    edit_json(lambda data: data.pop("camera_angle_x"), *ALL)(blender)
+    edit_json(lambda data: data.update(**size, fl_x=18.0, cx=6.0 if size else SIDE, cy=5.5), *ALL)(blender)
     dataset = take_over(blender, tmp_path / "out")
     assert (dataset.config.resolution.width, dataset.config.resolution.height) == (SIDE, SIDE // 2)
     assert dataset.view("train", 0).image.shape == (SIDE // 2, SIDE, 3)
@@ -213,7 +215,8 @@ def test_pictures_may_be_wider_than_high_and_smaller_than_w_and_h_with_a_princip
     made = make_cameras(listed, dataset.config)
     for split in dataset.splits:
         for cameras in (dataset.cameras(split), made[split]):
-            assert np.allclose(cameras[0].intrinsics, [[9, 0, 3], [0, 9, 2.75], [0, 0, 1]])
+            center = 3 if size else SIDE / 2
+            assert np.allclose(cameras[0].intrinsics, [[9, 0, center], [0, 9, 2.75], [0, 0, 1]])
 
 
 def test_openmaterials_masks_are_found_beside_the_pictures(tmp_path: Path) -> None:

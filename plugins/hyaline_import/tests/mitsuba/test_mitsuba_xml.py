@@ -207,11 +207,12 @@ def test_lights_are_where_the_file_puts_them(tmp_path: Path) -> None:
         '<emitter type="area"><rgb name="radiance" value="6,5,4"/></emitter></shape>'
     )
     sky = '<emitter type="constant"><rgb name="radiance" value="0.5,0.6,0.7"/></emitter>'
-    scene = import_scene(xml_of(tmp_path, f"{SENSOR}{BALL}{lamp}{sky}"), ImportChoices()).scene
+    mirrored = lamp.replace('<rotate x="1" angle="180"/>', '<scale x="-1"/>')
+    scene = import_scene(xml_of(tmp_path, f"{SENSOR}{BALL}{lamp}{mirrored}{sky}"), ImportChoices()).scene
     assert [item.name for item in scene.objects] == ["ball"], "no ground is added, and lamps are no objects"
-    (light,) = scene.lights
-    normal = np.cross(light.edge_u, light.edge_v)
-    np.testing.assert_allclose(normal / 4, [0, 0, -1], atol=1e-12)
+    light, other = scene.lights
+    normals = [np.cross(each.edge_u, each.edge_v) / 4 for each in (light, other)]
+    np.testing.assert_allclose(normals, [[0, 0, -1], [0, 0, 1]], atol=1e-12)
     # Mitsuba 3.9 answers what rounding leaves of a turn, 2e-16, with radiance that is no number.
     assert all(value == 0 or abs(value) > 1e-6 for value in (*light.edge_u, *light.edge_v))
     assert isinstance(scene.environment, SoftEnvironment)
