@@ -1,7 +1,6 @@
 """Variants: scores of predictions for other cameras, another size or an edited scene, against their own truth.
 
-Predictions are at RUN/variants/NAME/predictions/SPLIT/0000.png, also for foreign methods. Of edited scenes, regions are
-scored as well.
+Predictions are at RUN/variants/NAME/predictions/SPLIT/0000.png, also for foreign methods; of edits also by region.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -63,7 +62,12 @@ def score_variants(
         of: true for variants to score.
     """
     scored = []
-    for name in list_variants(scene.dataset.root):
+    known = list_variants(scene.dataset.root)
+    for path in (path for scores in scene.runs for path in scores.run.folder.glob("variants/*/predictions")):
+        if path.parent.name not in known:
+            there = ", ".join(known) or "none"
+            errors.append(HyalineError(f"{path.parent}: the dataset has no such variant; it has {there}"))
+    for name in known:
         if any((variant_root(scores.run.folder, name) / "predictions").is_dir() for scores in scene.runs):
             try:
                 variant = open_variant(scene.dataset, name)

@@ -241,8 +241,7 @@ class Optimisation:
 
     batch: int = choice(8192, "batch{}", limits=COUNT)
     """Random pixels per step, drawn from all training images; for U-Nets about as many in crops, for deepvoxels images.
-    The paper names no number; the authors' code takes one whole image per step. On a CPU a step's time is nearly
-    proportional to it."""
+    The paper names no number; the authors' code takes one whole image per step. CPU time grows with it."""
     updates: int = choice(1, "{}-updates", limits=COUNT)
     """Weight updates per step, each from an equal part of its batch. For equal rays, more updates fit better."""
     optimizer: OptimizerKind = choice("adam", "{}")
@@ -257,8 +256,7 @@ class Optimisation:
     beta1: float = unflagged(0.9, limits=(0, 0.9999))
     """Adam's first decay rate; 0.5 in the authors' code."""
     weight_decay: float = unflagged(0.0, limits=AMOUNT)
-    """Weight decay of the network alone, added to the gradient as Adam does; 0.0001 in the authors' code. Not with
-    Muon."""
+    """Weight decay of the network alone, added to the gradient as by Adam; 0.0001 in the authors' code."""
     steps: int = choice(2500, "{}-steps", limits=COUNT)
     """Optimizer steps; larger datasets need more. The paper names no number; at 128 x 128 pixels the held-out PSNR of
     `paper` flattens out by 2500."""

@@ -1,7 +1,6 @@
 """Files on disk: which names and paths may be used, reading regular files alone, whole commits, one writer a folder.
 
-Whatever a file says is checked here before it is joined to a path: a name is one component of a path, a relative path
-stays below its root.
+Names from files are checked before they are joined to a path: one is one component, a path stays below its root.
 """
 
 import contextlib

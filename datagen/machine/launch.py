@@ -1,7 +1,6 @@
 """Commands as jobs, on a Slurm cluster or on this machine, by submitit: submits them, waits, and reports failures.
 
-submitit's files and the jobs' logs lie in a folder of their own (DATASET-jobs/, or runs/jobs/), which may be deleted
-when all has ended.
+submitit's files and the jobs' logs lie in a folder of their own, DATASET-jobs/ or runs/jobs/, which may be deleted.
 """
 
 import os

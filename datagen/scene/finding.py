@@ -35,8 +35,7 @@ class ImportChoices:
     """Add a checkered ground: if nothing lies below the glass (auto), always or never."""
     repair: bool = False
     """Close holes in glass meshes (open ones otherwise become thin panes); import.json records the volume before and
-    after. Glass that cannot be closed without changing its volume by more than 5 % is left out, unless no other glass
-    is in the file."""
+    after. Glass whose volume that would change by more than 5 % is left out, unless there is no other."""
     crease: float | None = None
     """Recompute the shading normals, with an edge where faces meet at more than this many degrees, such as 30; 0 makes
     every face flat. Default: the file's normals; if it has none, 0 for glTF, 40 for OBJ, PLY and STL."""

@@ -52,8 +52,7 @@ PARTINGS: dict[str, tuple[float, float]] = {
 }
 """Difference from the index at the yellow line to that at the red (C, 656.3 nm) and the blue line (F, 486.1 nm).
 
-From the dispersion formulas of the sources above; water: Daimon and Masumura 2007 at 20 degrees; acetone and ethanol:
-Rheims et al. 1997.
+By the dispersion formulas of the sources above; water: Daimon and Masumura 2007 (20 °C); acetone and ethanol: Rheims.
 """
 
 Ior = float | str

@@ -132,7 +132,8 @@ def open_run(folder: Path, data_root: Path, given: Dataset | None = None) -> Run
     record = from_json(Record, {key: item for key, item in content.items() if key != "type"}, where=str(path))
     texts = {key: printable(text) for key, text in vars(record).items() if isinstance(text, str)}
     record = dataclasses.replace(record, config=config, **texts)
-    places = [given and given.root, record.dataset, data_root / real_path(folder).parent.name]
+    scenes = dict.fromkeys(path.parent.name for path in (folder.absolute(), real_path(folder)))
+    places = [given and given.root, record.dataset, *(data_root / scene for scene in scenes)]
     dataset = _find_dataset(folder, [Path(place) for place in places if place is not None], record.dataset_seal)
     promised = _read_promised(folder, dataset, seal)
     return Run(folder=folder, name=printable(folder.name), dataset=dataset, record=record, seal=seal, promised=promised)

@@ -6,8 +6,7 @@ RUN/snapshots/000500.png    at each evaluation: the scored pixels of the held-ou
                             sRGB
 RUN/costs.json              with --costs: time and memory, summed over the sessions of a run
 
-Metrics and snapshots have equal bytes whenever the same run is trained, however often it was stopped. Costs differ from
-run to run.
+Metrics and snapshots have equal bytes whenever the same run is trained, however often it was stopped; costs differ.
 """
 
 import contextlib

@@ -45,7 +45,8 @@ EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 
 MAKERS = ("datagen", "proxies", "python")
 """Programs that make what runs are trained on."""
-PROGRAMS = (*MAKERS, "model", "report", "hyaline-bench")
+PROGRAMS = {name: name for name in (*MAKERS, "model", "eval")} | {"report": "eval", "hyaline-bench": "hyaline_bench"}
+"""Programs, and the packages of their commands."""
 
 MAX_RUNS = 1000
 """Upper limit on the lines that one line means; larger grids are probably mistakes."""
@@ -93,8 +94,8 @@ def read_experiment(given: str, *, datasets: Sequence[str] = (), seeds: Sequence
             continue
         for program, *words in commands:
             choose(f"{where}: program", program, PROGRAMS)
-            if "$run" in words:
-                of_runs = ([str(folder) if word == "$run" else word for word in words] for folder in folders)
+            if any("$run" in word for word in words):
+                of_runs = ([word.replace("$run", str(folder)) for word in words] for folder in folders)
                 then |= dict.fromkeys(shlex.join([program, *filled]) for filled in of_runs)
             elif program not in MAKERS and [program, *words[:1]] != ["model", "fit"]:
                 then[shlex.join([program, *words])] = None
@@ -139,9 +140,10 @@ def _replaced(words: Sequence[str], datasets: Sequence[str], seeds: Sequence[int
     """The arguments of `model train` with each of these datasets and seeds, unless there are none."""
     method, *flags = words or [""]
     own = [flags.pop(0)] if flags and not flags[0].startswith("-") else []
-    if seeds and "--seed" in flags:
-        place = flags.index("--seed")
-        del flags[place : place + 2]
+    dropped = {"--seed"} if seeds else set[str]()
+    dropped |= {"--dataset", "--scene"} if datasets else set()
+    pairs = itertools.pairwise(["", *flags])
+    flags = [word for before, word in pairs if not dropped & {before, word.partition("=")[0]}]
     for dataset in [[name] for name in datasets] or [own]:
         for seed in [["--seed", str(seed)] for seed in seeds] or [[]]:
             yield (method, *dataset, *flags, *seed)
@@ -200,7 +202,7 @@ def sweep(
     total = len(asked.runs)
     say(f"sweep {asked.name}: {total - len(failures)} of {total} runs are finished")
     raise_failures(f"sweep {asked.name}", failures, total)
-    run_commands(asked, asked.then)
+    run_commands(asked, asked.then, shows=True)
     next_command("eval report")
 
 
@@ -247,8 +249,8 @@ def command_line(arguments: Sequence[str]) -> str:
     return shlex.join(["model", "train", *arguments])
 
 
-def run_commands(experiment: Experiment, commands: Sequence[str]) -> None:
-    """Runs commands of an experiment one after the other; finished work is theirs to skip.
+def run_commands(experiment: Experiment, commands: Sequence[str], *, shows: bool = False) -> None:
+    """Runs commands of an experiment one after the other; finished work is theirs to skip. `shows`: prints theirs, too.
 
     Raises:
         HyalineError: a command failed.
@@ -256,8 +258,10 @@ def run_commands(experiment: Experiment, commands: Sequence[str]) -> None:
     for command in commands:
         say(command)
         program, *words = shlex.split(command)
-        start = [sys.executable] if program == "python" else own_command(program.replace("-", "_"))
-        if status := subprocess.run([*start, *words], stdout=subprocess.DEVNULL, check=False).returncode:
+        start = [sys.executable] if program == "python" else own_command(PROGRAMS[program])
+        sys.stdout.flush()
+        stdout = None if shows else subprocess.DEVNULL
+        if status := subprocess.run([*start, *words], stdout=stdout, check=False).returncode:
             raise HyalineError(
                 f"sweep {experiment.name}: `{command}` ended with status {status}, for the reason above; "
                 "fix it and run the same command again to continue"

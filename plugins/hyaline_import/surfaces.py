@@ -79,7 +79,8 @@ def seams_joined(mesh: Mesh) -> tuple[Mesh, float]:
     if not len(pairs):
         return mesh, 0.0
     distance = float(np.linalg.norm(positions[pairs[:, 0]] - positions[pairs[:, 1]], axis=-1).max())
-    graph = coo_array((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(positions),) * 2)
+    places = pairs[:, 0], pairs[:, 1]
+    graph = coo_array((np.ones(len(pairs), np.int8), places), shape=(len(positions),) * 2)
     _, group = connected_components(graph, directed=False)
     _, first = np.unique(group, return_index=True)
     vertices = positions[first[group]][index.reshape(-1)]

@@ -33,8 +33,7 @@ def rounded_hull(solid: Solid, *, padding: float, min_face: float) -> Surface:
     """The sum of the shrunken hull and a ball, just large enough to enclose the hull with the padding.
 
     The farthest point of a sum of two convex bodies along a normal is the sum of their farthest points. So evenly
-    spread normals give vertices that are dense where the hull is rounded and sparse where it is flat, with exact
-    normals.
+    spread normals give vertices that are dense where the hull is rounded and sparse where it is flat.
     """
     ellipsoid = smallest_ellipsoid(solid.hull_points)
     root, center = ellipsoid.root, ellipsoid.center

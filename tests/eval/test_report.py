@@ -214,6 +214,15 @@ def test_predictions_for_other_data_are_refused_but_the_others_are_scored(
     assert set(runs_of(capsys.readouterr().out)) == {"perfect", "foreign_nerf"}
 
 
+def test_linked_runs_belong_to_the_folder_that_links_them_and_unknown_variants_are_named(copy: Path) -> None:
+    runs = copy / "runs" / "synthetic"
+    shutil.move(runs, copy / "elsewhere")
+    runs.symlink_to(copy / "elsewhere")
+    (runs / "grey/variants/x4/predictions").mkdir(parents=True)
+    with pytest.raises(HyalineError, match=r"^[^\n]*grey/variants/x4: the dataset has no such variant; it has none$"):
+        report(copy)
+
+
 def test_only_the_runs_of_the_chosen_dataset_are_scored(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (copy / "runs" / "other" / "lost" / "predictions" / "interpolating").mkdir(parents=True)
     moved = copy / "elsewhere" / "synthetic"

@@ -198,8 +198,7 @@ FAR_SHARE = 4
 def split_views(foreign: ForeignDataset) -> tuple[dict[Split, tuple[ForeignView, ...]], list[str]]:
     """The views of each split, and one line for each decision.
 
-    Pictures that `datagen export` named get back their places. Otherwise the test views farthest from all training
-    cameras become the split `extrapolating`.
+    Pictures that `datagen export` named get back their places. Otherwise the farthest views become `extrapolating`.
     """
     if (named := _by_name(foreign)) is not None:
         return named, []

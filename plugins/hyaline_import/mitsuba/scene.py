@@ -215,8 +215,7 @@ SHAPES: dict[str, Callable[[Node, Remarks], list[ForeignObject]]] = {
 def read_serialized(path: Path, index: int) -> ForeignObject:
     """One mesh of a file; nothing is unpacked beyond what its counts promise.
 
-    Read by hand: Mitsuba's own reader (3.9) writes outside of its arrays where a triangle names a vertex that is not
-    there, and takes counts modulo 2^32.
+    Read by hand: Mitsuba's reader (3.9) writes outside of its arrays for missing vertices, and wraps large counts.
     """
     data = read_foreign(path)
     try:

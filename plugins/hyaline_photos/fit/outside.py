@@ -191,7 +191,9 @@ def _span_inside(
     inside = crossings(rays, axis, heights)[rays.hits] <= radii
     place, least = _closest(rays, axis, heights)
     inside[np.arange(len(inside)), place] |= least <= radii[place]
-    return np.asarray(inside.any(axis=1)), inside.argmax(axis=1), len(heights) - 1 - inside[:, ::-1].argmax(axis=1)
+    first = inside.argmax(axis=1)
+    last = len(heights) - 1 - inside[:, ::-1].argmax(axis=1)
+    return np.asarray(inside.any(axis=1)), first, last
 
 
 def _end(

@@ -35,8 +35,8 @@ def test_braces_are_every_combination_in_the_order_of_the_file(tmp_path: Path) -
         # A comment.
         datagen build {one,'my two'} --preset tiny   # As in a shell.
         model train paper {one,'my two'} --{no-,}zero-layer --lr 1e-4 --steps 10
-        model predict $run --variant x2
-        model train paper one --extrinsics {view,sh} --lr 0.0001 --steps 10
+        model export $run --out $run/scene.html
+        model train paper --dataset one --extrinsics {view,sh} --lr 0.0001 --steps 10
         datagen build one --preset tiny
         hyaline-bench floors
     """,
@@ -46,12 +46,13 @@ def test_braces_are_every_combination_in_the_order_of_the_file(tmp_path: Path) -
     for dataset in ("one", "'my two'"):
         for zero in ("--no-zero-layer ", "--zero-layer "):
             expected.append(f"model train paper {dataset} {zero}--lr 1e-4 --steps 10")
-    expected.append("model train paper one --extrinsics sh --lr 0.0001 --steps 10")  # view is the default.
+    expected.append("model train paper --dataset one --extrinsics sh --lr 0.0001 --steps 10")  # view is the default.
     assert list(map(sweep.command_line, asked.runs)) == expected
     assert asked.needs == ("datagen build one --preset tiny", "datagen build 'my two' --preset tiny")
     names = ("paper-lr0.0001-10-steps", "paper-zero-layer-lr0.0001-10-steps")
-    folders = [shlex.quote(f"runs/{dataset}/{name}") for dataset in ("one", "my two") for name in names]
-    assert asked.then == (*(f"model predict {folder} --variant x2" for folder in folders), "hyaline-bench floors")
+    folders = [f"runs/{dataset}/{name}" for dataset in ("one", "my two") for name in names]
+    exports = [shlex.join(["model", "export", folder, "--out", f"{folder}/scene.html"]) for folder in folders]
+    assert asked.then == (*exports, "hyaline-bench floors")
 
     replaced = read_experiment(path, datasets=["three"], seeds=[4, 5])
     parsed = [parse_train(method, tuple(words)) for method, *words in replaced.runs]
@@ -103,6 +104,15 @@ def test_a_command_before_that_fails_stops_the_sweep(tmp_path: Path, monkeypatch
 
 
 # Sweeps
+
+
+def test_what_commands_on_finished_runs_print_is_shown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sweep, "_train_in_child", lambda *_, **__: "")
+    path = write(tmp_path, "model train paper one\nreport --help\neval report --help")
+    assert commands.call(f"model sweep {path}").status == 0
+    assert capfd.readouterr().out.count("usage: ") == 2
 
 
 def test_each_device_runs_one_process_at_a_time_and_none_is_idle(

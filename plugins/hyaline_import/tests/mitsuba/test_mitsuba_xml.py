@@ -235,7 +235,8 @@ def packed(flags: int, *arrays: np.ndarray, version: int) -> bytes:
 
 @pytest.mark.parametrize("version", [3, 4])
 def test_each_mesh_of_a_serialized_file_lies_as_mitsuba_has_it(version: int, tmp_path: Path) -> None:
-    faces, uv = np.array([[0, 1, 2]], "<u4"), np.array([[0, 0], [1, 0], [0, 1]], "<f8")
+    faces = np.array([[0, 1, 2]], "<u4")
+    uv = np.array([[0, 0], [1, 0], [0, 1]], "<f8")
     box = BOX.vertices.astype("<f4"), BOX.normals.astype("<f4"), BOX.uv.astype("<f4"), BOX.faces.astype("<u4")
     up, black = np.tile(np.array([0, 0, 1], "<f4"), (3, 1)), np.zeros((3, 3), "<f4")
     meshes = [

@@ -66,7 +66,9 @@ def test_a_pane_is_found_and_a_ball_is_none(ids: list[UInt8[np.ndarray, "h w"]])
     assert pane.top == pytest.approx(TOP, abs=pixel)
     assert pane.thickness == pytest.approx(THICKNESS, abs=pixel)
     assert np.abs(np.sort(pane.footprint.half) - np.sort(HALF)).max() < 1.2 * pixel
-    assert pane.footprint.holds(0.95 * np.array([[1, 1], [1, -1]]) * HALF @ [[0.906, 0.423], [-0.423, 0.906]]).all()
+    turn = [[0.906, 0.423], [-0.423, 0.906]]
+    corners = np.array([[1, 1], [1, -1]]) * HALF @ turn
+    assert pane.footprint.holds(0.95 * corners).all()
     outline = pane.outline()
     assert outline.center[2] + outline.radii[2] == pytest.approx(pane.top)
     assert np.all(np.array(outline.radii[:2]) > HALF[1])

@@ -90,7 +90,8 @@ def test_the_mesh_is_closed_outward_rounded_and_has_texels_of_its_own_everywhere
     # The volume of a box grown by a ball (Steiner's formula).
     a, b, c = 2 * (box.half_sizes - rounding)
     edges, r = a + b + c, rounding
-    volume = a * b * c + 2 * (a * b + b * c + c * a) * r + np.pi * edges * r**2 + 4 / 3 * np.pi * r**3
+    sides = 2 * (a * b + b * c + c * a)
+    volume = a * b * c + sides * r + np.pi * edges * r**2 + 4 / 3 * np.pi * r**3
     assert signed_volume(mesh) == pytest.approx(volume, rel=1e-3)
 
 

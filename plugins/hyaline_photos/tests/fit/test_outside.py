@@ -199,7 +199,8 @@ def test_a_glass_on_a_table_is_no_wider_below_its_foot() -> None:
     taken = cameras()
     o, d = all_rays(taken)
     to_table = -o[..., 2] / d[..., 2]
-    is_on = (np.abs((o + to_table[..., None] * d)[..., :2] - CENTER[:2]) < half_table).all(axis=-1) & (to_table > 0)
+    from_middle = (o + to_table[..., None] * d)[..., :2] - CENTER[:2]
+    is_on = (np.abs(from_middle) < half_table).all(axis=-1) & (to_table > 0)
     depth = np.where(is_on, to_table, np.inf).astype(np.float32)
     masked = dataclasses.replace(sightings_of(cone_mask(taken, low, high, height), taken), depth=depth)
     rays = rays_near(masked, 1)
