@@ -24,11 +24,12 @@ def main() -> None:
     rows: list[tuple[str, ...]] = []
     for scene in results["scenes"]:
         for scored in scene["runs"]:
-            rows += curve(runs / scene["scene"] / scored["run"], scored["splits"])
+            found = curve(runs / scene["scene"] / scored["run"], scored["splits"])
+            rows += [(scene["scene"], *cells) for cells in found]
     grid = Grid(
         title="Learning curves",
         columns=(
-            Column(group="run", is_number=False),
+            *(Column(group=group, is_number=False) for group in ("scene", "run")),
             *(Column(group=group) for group in ("pass", "train", "held out")),
             *(Column(group="test", split=split) for split in TESTS),
         ),

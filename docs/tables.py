@@ -358,10 +358,15 @@ def errors_table() -> str:
 def curves_table() -> str:
     """PSNR of training, held-out and test views by passes over the training pictures."""
     (grid,) = _read("curves")["tables"]["curves"]
-    ends = {run: f"{float(passes):g}" for run, passes, *_ in grid["rows"]}  # Of a run, the last row stays.
-    rows = [(f"`{re.sub('-[0-9]+-steps$', '', run)}`", ends[run], *cells) for run, *cells in grid["rows"]]
-    columns = ("method", "all passes", "after pass", "training", "held out", "test, inter.", "test, extra.")
-    return table_of(columns, rows, texts=1)
+    ends = {
+        tuple(run): f"{float(passes):g}" for *run, passes, _, _, _, _ in grid["rows"]
+    }  # Of a run, the last row stays.
+    rows = [
+        (scene.removesuffix("_64"), f"`{re.sub('-[0-9]+-steps$', '', run)}`", ends[scene, run], *cells)
+        for scene, run, *cells in grid["rows"]
+    ]
+    columns = ("scene", "method", "all passes", "after pass", "training", "held out", "test, inter.", "test, extra.")
+    return table_of(columns, rows, texts=2)
 
 
 def fits_table() -> str:
