@@ -192,8 +192,8 @@ def take_screenshot(page: Path, *, width: int, height: int, rays: int, link: str
     with running_browser() as browser, watched_page(browser, width=width, height=height) as watched:
         if not rays:
             watched.page.goto(page.resolve().as_uri() + (f"#{link}" if link else ""))
-            return watched.page.screenshot()
+            return watched.page.screenshot(animations="disabled")
         open_file(watched, page, link=link)
         # Drawn by the processor, a frame takes seconds for every 100,000 pixels.
         watched.evaluate("async (rays) => (await hyaline).frames.still(rays)", rays, patience_ms=1_800_000)
-        return watched.page.screenshot()
+        return watched.page.screenshot(animations="disabled")
