@@ -256,7 +256,7 @@ class Optimisation:
     beta1: float = unflagged(0.9, limits=(0, 0.9999))
     """Adam's first decay rate; 0.5 in the authors' code."""
     weight_decay: float = unflagged(0.0, limits=AMOUNT)
-    """Weight decay of the network alone, added to the gradient as by Adam; 0.0001 in the authors' code."""
+    """Weight decay of the network alone, as Adam adds it; 0.0001 in the authors' code. Not with Muon."""
     steps: int = choice(2500, "{}-steps", limits=COUNT)
     """Optimizer steps; larger datasets need more. The paper names no number; at 128 x 128 pixels the held-out PSNR of
     `paper` flattens out by 2500."""

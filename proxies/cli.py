@@ -40,7 +40,7 @@ def make(
         kind: box (oriented, of minimum volume), ellipsoid (of minimum volume), hull (convex, rounded edges) or wrap
             (shrink-wrapped, follows hollows).
         assign: OBJECT=KIND, instead of one kind for all: the kind for one object, or for all that match a pattern, as
-            'fern*'. KIND is one of the above, or truth, which others keep. The last one counts.
+            'fern*'. KIND is one of the above, or truth, which others keep. May be repeated; the last one counts.
         name: With --assign: the geometry's name, mixed or mixed-SOMETHING.
         num_layers: Layers stored per ray.
         workers: Parallel processes.

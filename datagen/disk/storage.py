@@ -1,6 +1,6 @@
 """Files on disk: which names and paths may be used, reading regular files alone, whole commits, one writer a folder.
 
-Names from files are checked before they are joined to a path: one is one component, a path stays below its root.
+Names in files are checked before they are joined to a path: each is one component, and a path stays below its root.
 """
 
 import contextlib

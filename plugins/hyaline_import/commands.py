@@ -22,7 +22,7 @@ class DatasetImportChoices:
     """The flags of `datagen import-dataset`."""
 
     mesh: tuple[Path, ...] = ()
-    """A mesh of the scene in the cameras' axes and units (PLY, OBJ, STL, GLB ...). May be repeated; none: no layers."""
+    """A mesh in the cameras' axes and units (PLY, OBJ, STL, GLB, ...). May be repeated; without one, no layers."""
     material: tuple[str, ...] = ()
     """A material by name for all meshes, or for those that match a pattern: 'foot*=gold', as `datagen import` takes
     them. Default: the material in the file, or else glass of the index --ior."""

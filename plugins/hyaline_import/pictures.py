@@ -77,7 +77,7 @@ def veiled(
 ) -> ForeignMaterial | None:
     """The material with one alpha in place of an image of it; None where most of the surface is cut away.
 
-    Many files draw panes with an image whose alpha is, say, 0.3 everywhere. Leaves are whole or not there.
+    Many files draw panes with an image whose alpha is, say, 0.3 everywhere. Leaves are drawn whole, or left out.
     """
     if material.alpha_mode == "opaque" or (material.alpha_mode == "blend" and material.is_glass):
         return material

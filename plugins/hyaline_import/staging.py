@@ -183,8 +183,7 @@ def glowing(mesh: Mesh, radiance: Color) -> tuple[RectangleLight, ...]:
     middle of an open one, which shines to where its faces look."""
     across = normals_of(face_corners(mesh)) / 2
     points = mesh.vertices.astype(np.float64)
-    lengths = np.linalg.norm(across, axis=1, keepdims=True)
-    frames = (np.eye(3), np.linalg.eigh(across.T @ (across / lengths))[1].T)
+    frames = (np.eye(3), np.linalg.eigh(across.T @ (across / np.linalg.norm(across, axis=1, keepdims=True)))[1].T)
     frame = min(frames, key=lambda rows: float(np.prod(np.ptp(points @ rows.T, axis=0) + 1e-6)))
     low, high = (points @ frame.T).min(axis=0), (points @ frame.T).max(axis=0)
     middle, size = (low + high) / 2 @ frame, high - low

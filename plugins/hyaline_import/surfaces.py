@@ -79,8 +79,7 @@ def seams_joined(mesh: Mesh) -> tuple[Mesh, float]:
     if not len(pairs):
         return mesh, 0.0
     distance = float(np.linalg.norm(positions[pairs[:, 0]] - positions[pairs[:, 1]], axis=-1).max())
-    places = pairs[:, 0], pairs[:, 1]
-    graph = coo_array((np.ones(len(pairs), np.int8), places), shape=(len(positions),) * 2)
+    graph = coo_array((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(positions),) * 2)
     _, group = connected_components(graph, directed=False)
     _, first = np.unique(group, return_index=True)
     vertices = positions[first[group]][index.reshape(-1)]
@@ -157,8 +156,7 @@ def closed(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
         at = int(np.linalg.norm(positions[loop] - middle, axis=-1).argmin())
         rim = place[np.roll(loop, -at)]
         if len(loop) == 3 or (positions[loop[at]] == middle).all():
-            tips = np.full(len(rim) - 2, rim[0])
-            lids.append(np.stack([rim[2:], rim[1:-1], tips], axis=-1))
+            lids.append(np.stack([rim[2:], rim[1:-1], np.full(len(rim) - 2, rim[0])], axis=-1))
             continue
         center = len(mesh.vertices) + len(vertices) - 1
         lids.append(np.stack([np.roll(rim, -1), rim, np.full(len(rim), center)], axis=-1))

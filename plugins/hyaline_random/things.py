@@ -61,8 +61,7 @@ def part(name: str, mesh: Mesh, material: Material) -> SceneObject:
 def standing(mesh: Mesh) -> Mesh:
     """The mesh with its lowest point at z = 0 and its middle over the origin."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-    x, y, _ = (low + high) / 2
-    return moved(mesh, (-float(x), -float(y), -float(low[2])))
+    return moved(mesh, (-float(low[0] + high[0]) / 2, -float(low[1] + high[1]) / 2, -float(low[2])))
 
 
 def put(thing: Thing, place: tuple[float, float, float], *, turn_deg: float = 0.0) -> Thing:

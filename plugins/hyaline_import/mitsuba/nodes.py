@@ -86,8 +86,7 @@ class Node:
             return np.eye(4)
         matrix = np.array(getattr(self.props[key], "matrix", np.zeros((0, 0))), np.float64)
         if matrix.shape == (3, 3):  # Of a texture: in two dimensions.
-            upper = [matrix[:2, :2], np.zeros((2, 1)), matrix[:2, 2:]]
-            matrix = np.block([upper, [np.zeros((2, 2)), np.eye(2)]])
+            matrix = np.block([[matrix[:2, :2], np.zeros((2, 1)), matrix[:2, 2:]], [np.zeros((2, 2)), np.eye(2)]])
         if matrix.shape != (4, 4) or not (np.abs(matrix) < MAX_VALUE).all() or abs(np.linalg.det(matrix)) < 1e-30:
             raise HyalineError(f"{self.where}: {key} is not an invertible transform; expected one with finite numbers")
         return matrix

@@ -1,4 +1,4 @@
-"""Glass of revolution as a few numbers, and its mesh. Vertex and face counts are constant: a loaded scene stays."""
+"""Glass of revolution as a few numbers, and its mesh. Vertex and face counts are constant, for updates in place."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence

@@ -125,8 +125,6 @@ FRAME_SHARE = 0.05
 """Size of a camera's frame, relative to its distance from the centre of the scene."""
 MOST_PIXELS = 160
 """Longer side of a picture in its frame; larger ones are subsampled."""
-PANEL_PIXELS = 256
-"""Least width of a picture in the panel."""
 GLASS_OPACITY = 0.35
 FIRST = (
     "Drawing the first picture ...",
@@ -204,7 +202,7 @@ class Stage:
             errors = 8 * np.abs(picture.astype(np.int32) - truth)
             pictures += [picture, errors.clip(max=255).astype(np.uint8)]
             label += f", prediction ({psnr(picture, truth):.2f} dB), error × 8"  # noqa: RUF001
-        times = -(-PANEL_PIXELS // truth.shape[1])
+        times = -(-256 // truth.shape[1])  # At least as wide as in reports.
         if self._shown is not None:
             self._shown.remove()
         enlarged = np.concatenate(pictures).repeat(times, axis=0).repeat(times, axis=1)
@@ -327,8 +325,10 @@ class Viewer:
         view, self.stage.asked = self.stage.asked, None
         assert view is not None
         with contextlib.suppress(MovedOn, HyalineError):
-            draw = (lambda *_, **__: None) if self._run is None else self._run.draw
-            self.stage.show(view, draw(view.camera, is_quick=False, is_wanted=lambda: held.number is None))
+            picture = None
+            if self._run is not None:
+                picture = self._run.draw(view.camera, is_quick=False, is_wanted=lambda: held.number is None)
+            self.stage.show(view, picture)
 
     # Callbacks in viser's threads.
 

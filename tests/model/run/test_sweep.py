@@ -106,13 +106,17 @@ def test_a_command_before_that_fails_stops_the_sweep(tmp_path: Path, monkeypatch
 # Sweeps
 
 
-def test_what_commands_on_finished_runs_print_is_shown(
+def test_failed_runs_are_named_and_what_commands_on_finished_runs_print_is_shown(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(sweep, "_train_in_child", lambda *_, **__: "")
+    monkeypatch.setattr(sweep, "_train_in_child", lambda words, *_: "no proxies" if "box" in words else "")
     path = write(tmp_path, "model train paper one\nreport --help\neval report --help")
     assert commands.call(f"model sweep {path}").status == 0
     assert capfd.readouterr().out.count("usage: ") == 2
+    answer = commands.call(f"model sweep {write(tmp_path, 'model train paper one --geometry {truth,box}')}")
+    failed, error = answer.err.splitlines()[-2:]
+    assert answer.status == 1 and failed.startswith("failed: model train paper one --geometry box: no proxies")
+    assert error.startswith("error: sweep grid: 1 of 2 jobs failed")
 
 
 def test_each_device_runs_one_process_at_a_time_and_none_is_idle(
