@@ -38,7 +38,7 @@ from datagen.disk.storage import read_regular, real_path
 from datagen.machine.launch import own_command, raise_failures, run_in_jobs
 from datagen.terminal.command import choose, next_command, say, tell
 from model.methods.protocol import METHODS
-from model.run.train_flags import folder_name, parse_train
+from model.run.train_flags import flags_asked, folder_name, parse_train
 from model.settings import RUNS
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
@@ -159,7 +159,8 @@ def _parsed(words: tuple[str, ...], where: str) -> tuple[str, Path]:
         dataset = real_path(find_dataset(asked.dataset or made)).name
     except HyalineError as error:
         raise HyalineError(f"{where}: {error}") from None
-    return repr((method, asked)), asked.run.out or RUNS / dataset / folder_name(method, asked)
+    folder = asked.run.out or RUNS / dataset / folder_name(method, asked)
+    return repr((method, dataset, folder, flags_asked(asked))), folder
 
 
 # Running them

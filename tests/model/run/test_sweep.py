@@ -36,7 +36,7 @@ def test_braces_are_every_combination_in_the_order_of_the_file(tmp_path: Path) -
         datagen build {one,'my two'} --preset tiny   # As in a shell.
         model train paper {one,'my two'} --{no-,}zero-layer --lr 1e-4 --steps 10
         model export $run --out $run/scene.html
-        model train paper --dataset one --extrinsics {view,sh} --lr 0.0001 --steps 10
+        model train paper --dataset one --extrinsics {view,sh} --lr 0.0001 --steps 10 --label Mine
         datagen build one --preset tiny
         hyaline-bench floors
     """,
@@ -46,7 +46,7 @@ def test_braces_are_every_combination_in_the_order_of_the_file(tmp_path: Path) -
     for dataset in ("one", "'my two'"):
         for zero in ("--no-zero-layer ", "--zero-layer "):
             expected.append(f"model train paper {dataset} {zero}--lr 1e-4 --steps 10")
-    expected.append("model train paper --dataset one --extrinsics sh --lr 0.0001 --steps 10")  # view is the default.
+    expected.append("model train paper --dataset one --extrinsics sh --lr 0.0001 --steps 10 --label Mine")
     assert list(map(sweep.command_line, asked.runs)) == expected
     assert asked.needs == ("datagen build one --preset tiny", "datagen build 'my two' --preset tiny")
     names = ("paper-lr0.0001-10-steps", "paper-zero-layer-lr0.0001-10-steps")
