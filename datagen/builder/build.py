@@ -30,6 +30,7 @@ from datagen.machine.processes import in_workers
 from datagen.scene.description import CameraList, Scene
 from datagen.scene.folder import open_scene, scene_files
 from datagen.scene.rig import cameras_within, make_cameras
+from datagen.scene.soundness import check_glass_is_seen
 from datagen.terminal.command import say, this_command, track
 
 Task = tuple[Split, int]
@@ -135,6 +136,7 @@ def build_dataset(
         raise HyalineError(f"views: are {config.train.views}; expected at least 1 training view")
     with holding(root, DATASET, shared=shard is not None):
         cameras = cameras_within(scene, make_cameras(scene.cameras, config))
+        check_glass_is_seen(scene, cameras.values())
         dataset = open_or_start(scene, root, config, cameras, overwrite=overwrite)
         meshes_hash = geometry_hash(dataset, TRUTH)
         # Now, so that a dataset that is stopped while it renders says which layers it is to have.

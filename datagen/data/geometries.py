@@ -24,9 +24,6 @@ from datagen.terminal.command import choose
 
 PROXIES_VERSION = 1
 
-MAKERS = {False: "proxies make", True: "model fit"}
-"""The command that makes a geometry, by whether it is fitted glass."""
-
 NO_GEOMETRY = "none"
 """The geometry of a method that uses no layers."""
 
@@ -135,14 +132,21 @@ def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
         check_has_meshes(dataset)
         if kind.partition("-")[0] not in (*PROXY_KINDS, MIXED, FITTED):
             choose("geometry", kind, {*list_geometries(dataset), *PROXY_KINDS} - {kind})
-        raise HyalineError(f"{root / PROXIES.head}: no {kind} proxies; make them with `{MAKERS[is_fitted(kind)]}`")
+        raise HyalineError(f"{root / PROXIES.head}: no {kind} proxies; make them with `{_maker(kind)}`")
     head, _ = _read_head(root)
     if (head.kind, head.dataset) != (kind, dataset.seal):
         raise HyalineError(
             f"{root / PROXIES.head}: holds {head.kind!r} of another dataset or folder; make them again with "
-            f"`{MAKERS[is_fitted(kind)]} --overwrite`"
+            f"`{_maker(kind)} --overwrite`"
         )
     return head.proxies
+
+
+def _maker(kind: str) -> str:
+    """The command that makes a geometry."""
+    if is_fitted(kind):
+        return "model fit"
+    return f"proxies make --kind {kind}" if kind in PROXY_KINDS else "proxies make --assign OBJECT=KIND"
 
 
 def read_assignment(dataset: Dataset, geometry: str) -> tuple[str, ...] | None:

@@ -28,6 +28,9 @@ MAX_OBJECTS = 255
 MAP_ENDINGS = (".exr", ".hdr")
 """Endings of radiance files: OpenEXR, and Radiance's RGBE."""
 
+MAX_SHARPNESS = 200_000
+"""Of lobes. The map that they are painted into has the light of wider ones to 2 %, and loses that of sharper ones."""
+
 
 @checked
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +48,8 @@ class Lobe:
     def __post_init__(self) -> None:
         check_positive("lobe direction", math.hypot(*self.direction))
         check_range("lobe radiance", self.radiance, 0, math.inf)
-        check_positive("lobe sharpness", self.sharpness)
+        if not 0 < self.sharpness <= MAX_SHARPNESS:
+            raise HyalineError(f"lobe sharpness: is {self.sharpness}; expected above 0 and at most {MAX_SHARPNESS:,}")
 
 
 @checked

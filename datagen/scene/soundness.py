@@ -4,12 +4,13 @@ They are fast (a second for a scene of 100,000 triangles), since they run whenev
 """
 
 import re
+from collections.abc import Iterable
 from itertools import combinations, compress, permutations
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from datagen.data.cameras import direction_of, seeing
+from datagen.data.cameras import Cameras, direction_of, seeing
 from datagen.data.config import SPLITS
 from datagen.data.meshes import (
     Mesh,
@@ -83,7 +84,8 @@ def check_scene(scene: Scene, *, is_checked: bool = False) -> None:
     if is_checked:
         return
     cameras = camera_places(scene.cameras)
-    _check_seen(scene, there)
+    if isinstance(scene.cameras, CameraList):
+        check_glass_is_seen(scene, [scene.cameras.of(split) for split in SPLITS])
     _check_units(scene, there, cameras)
     _check_normals(scene, there)
     for item in solids:
@@ -115,19 +117,16 @@ def check_names(scene: Scene) -> None:
             raise HyalineError(f"scene {scene.name}: object name {name!r}; expected letters, digits, _ and -")
 
 
-def _check_seen(scene: Scene, there: list[SceneObject]) -> None:
-    """Refuses listed cameras none of which sees any glass: their poses are probably in another convention."""
-    if not isinstance(scene.cameras, CameraList):
-        return
+def check_glass_is_seen(scene: Scene, splits: Iterable[Cameras]) -> None:
+    """Refuses cameras none of which sees any glass: listed poses are then probably in another convention."""
+    there = [item for item in scene.objects if is_there(item.mesh)]
     glass = [item for item in there if item.material.is_glass] or there
-    listed = [scene.cameras.of(split) for split in SPLITS]
-    if any(any(seeing(cameras, item.mesh)) for cameras in listed for item in glass):
-        return
-    raise HyalineError(
-        f"scene {scene.name}: no camera sees {', '.join(item.name for item in glass[:NAMED])}; expected "
-        "world_from_camera, looking along -z with +y up, in the meshes' axes and unit "
-        "(OpenCV's poses have y and z flipped)"
-    )
+    if not any(any(seeing(cameras, item.mesh)) for cameras in splits for item in glass):
+        raise HyalineError(
+            f"scene {scene.name}: no camera sees {', '.join(item.name for item in glass[:NAMED])}; expected "
+            "world_from_camera, looking along -z with +y up, in the meshes' axes and unit (OpenCV's poses have y and z "
+            "flipped), or a rig with a target near it"
+        )
 
 
 def camera_places(rig: CameraRig | CameraList) -> Float[np.ndarray, "place 3"]:

@@ -92,7 +92,9 @@ def check_ior(ior: Ior) -> None:
         if ior not in SUBSTANCES:
             raise HyalineError(f"ior: is {ior!r}; expected a number, or one of {', '.join(SUBSTANCES)}")
     elif not 1 <= ior < MAX_IOR:
-        raise HyalineError(f"ior: is {ior}; expected an index of refraction of at least 1 (glass has 1.5)")
+        raise HyalineError(
+            f"ior: is {ior}; expected an index of refraction from 1 to below {MAX_IOR:g} (glass has 1.5)"
+        )
 
 
 def check_dispersion(ior: Ior, dispersion: Dispersion) -> None:

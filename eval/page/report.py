@@ -189,7 +189,9 @@ def _open_runs(runs_root: Path, data_root: Path, out: Path, only: Path | None) -
         try:
             if has_predictions(folder):
                 run = open_run(folder, data_root, dataset if is_own else None)
-                if dataset is None or run.dataset.seal == dataset.seal:
+                if run.dataset.withheld:
+                    say(f"{folder}: a verifier of hyaline-bench keeps the truth; skipped")
+                elif dataset is None or run.dataset.seal == dataset.seal:
                     runs.append(run)
             elif is_own and not any((folder / name).is_file() for name in heads):
                 say(f"{folder}: no predictions yet; skipped")

@@ -8,7 +8,7 @@ from typing import Annotated, cast
 
 from datagen.data.dataset import open_dataset
 from datagen.data.variants import TWINS
-from datagen.disk.errors import HyalineError, UsageError
+from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json, commit_sealed, to_json
 from datagen.disk.storage import sha256
 from datagen.terminal.command import choose, next_command, run, say, tell
@@ -93,7 +93,7 @@ def score(
     found = find_runs(runs, data, preset, protocol)
     if not found:
         raise HyalineError(
-            f"{runs}: has no predictions of the {preset} datasets; make some with "
+            f"{runs}: has no predictions of the {preset} datasets, but for what lines above name; make some with "
             f"`hyaline-bench commands --preset {preset} | model sweep -`"
         )
     names = sorted(found) if method is None else [choose("method", method, found)]
@@ -136,11 +136,10 @@ def secret(file: Path, /, *, preset: Preset = "demo") -> None:
         file: File with the secret; if it is missing, a secret is drawn. Keep it private until the round is over.
         preset: Size of the hidden datasets; tiny has none.
     """
-    from hyaline_bench.hidden import read_secret, verifier_commands
+    from hyaline_bench.hidden import hidden_names, read_secret, verifier_commands
 
     protocol = _protocol(preset)
-    if not protocol.hidden_scenes(preset):
-        raise UsageError(f"--preset: {preset} has no hidden scenes; expected small, demo or standard")
+    hidden_names(preset, protocol)  # Before a secret is drawn.
     text = read_secret(file)
     tell(f"# commitment: {sha256(text.encode())}")
     for line in verifier_commands(text, preset, protocol):

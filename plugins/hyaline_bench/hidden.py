@@ -54,6 +54,17 @@ def hidden_seed(secret: str, place: int, protocol: Protocol) -> int:
     return int.from_bytes(digest[:8]) % 2**63
 
 
+def hidden_names(preset: str, protocol: Protocol) -> list[str]:
+    """The names of a preset's hidden scenes.
+
+    Raises:
+        HyalineError: it has none.
+    """
+    if not (names := protocol.hidden_scenes(preset)):
+        raise HyalineError(f"{preset} has no hidden scenes; expected small, demo or standard")
+    return names
+
+
 def verifier_commands(secret: str, preset: str, protocol: Protocol) -> list[str]:
     """The commands that build the hidden scenes of a preset, and split each into both datasets."""
     lines = []
@@ -77,7 +88,7 @@ def hide_truth(source: Dataset, name: str, out: Path, protocol: Protocol) -> tup
     from datagen.builder.build import peel_dataset  # With a ray tracer, which scoring does not need.
 
     preset = source.config.preset
-    choose("scene", name, protocol.hidden_scenes(preset))
+    choose("scene", name, hidden_names(preset, protocol))
     if source.imported is not None or source.parent is not None:
         raise HyalineError(f"{source.root}: is imported, or a variant; expected what `datagen build` made")
     published = dataclasses.replace(source.config, scene=name, seed=0)

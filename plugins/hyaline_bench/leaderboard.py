@@ -23,7 +23,7 @@ NOTES = (
     "PSNR that the noise of the truth and 8 bits leave a perfect method. Worst: by glass. Inter, extra: glass. 10°, "
     "20°, 40°: all pixels of all built-in scenes. Edits: the pixels that change, in all built-in scenes. Hidden: glass "
     "in all hidden scenes; everyone can build the truth of the others.",
-    "CPU min: of training and prediction, mean over scenes, on the participant's machine, so compare it within a "
+    "CPU min: of training, mean over scenes, on the participant's machine, so compare it within a "
     "factor of two. Rows with other scenes than the first come after those with the same: their averages cannot be "
     "compared. Costs and all metrics of every split are in the files of scores. Of scenes: the share of glass pixels, "
     "PSNR of the training pictures by their own noise, ceilings, and glass dB of each method.",
@@ -103,9 +103,11 @@ def results_page(found: Sequence[Scored], protocol: Protocol) -> str:
 
 
 def check_comparable(found: Sequence[Scored]) -> None:
-    """Raises a HyalineError unless all were scored on the same datasets."""
+    """Raises a HyalineError unless all were scored on the same datasets, at one preset."""
     digests: dict[str, str] = {}
     for scored in found:
+        if scored.preset != found[0].preset:
+            raise HyalineError(f"{scored.name}: was scored at {scored.preset}, others at {found[0].preset}")
         for scene, result in scored.scenes.items():
             if digests.setdefault(scene, result.dataset) != result.dataset:
                 raise HyalineError(

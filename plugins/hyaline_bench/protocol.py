@@ -194,7 +194,7 @@ def least_track(run: Run, tracks: Mapping[str, str]) -> str | None:
     if uses_materials is None:
         uses_materials = run.record.method == "light-path"
     if geometry is None:
-        return None
+        return materials if uses_materials else None
     if is_fitted(geometry):
         if uses_materials and (told is None or told):
             return materials  # Of other objects at least, such as varnish on a floor.

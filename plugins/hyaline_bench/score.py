@@ -121,14 +121,15 @@ def list_parts(run: Run, protocol: Protocol) -> list[Part]:
         name: run_of_variant(run, open_variant(dataset, name)) if has_variant(dataset, name) else None
         for name in wanted
     }
-    if ANGLES in found and found[ANGLES] is None:
-        raise HyalineError(
-            f"{variant_root(run.folder, ANGLES) / 'predictions'}: missing; the protocol asks for "
-            f"{', '.join(wanted[ANGLES])}, whose cameras `datagen add {dataset.root} --angles` makes"
-        )
-    has_edits = all(found[name] for name in found if name != ANGLES)
-    listed = [(run, TEST_SPLITS)]
-    listed += [(part, wanted[name]) for name, part in found.items() if part and (has_edits or name == ANGLES)]
+    has_edits = any(found[name] for name in found if name != ANGLES)
+    for name, part in found.items():
+        if part is None and (has_edits or name == ANGLES):
+            flag = "--angles" if name == ANGLES else "--edit"
+            raise HyalineError(
+                f"{variant_root(run.folder, name) / 'predictions'}: missing; the protocol asks for "
+                f"{', '.join(wanted[name])}, whose cameras `datagen add {dataset.root} {flag}` makes"
+            )
+    listed = [(run, TEST_SPLITS)] + [(part, wanted[name]) for name, part in found.items() if part]
     for part, splits in listed:
         for split in splits:
             if not has_split(part, split):
@@ -297,18 +298,6 @@ def _result(run: Run, split: Split, truth: Truth, scores: SplitScores, masks: Da
     Raises:
         HyalineError: pictures are nearer to the truth than the truth's own noise lets any method come.
     """
-    limits = {}
-    for view, psnr in zip(run.dataset.views(split), scores.images["psnr_db"], strict=True):
-        limits[prediction_path(run, split, view.index)] = (psnr, view.record.ceiling_db, ABOVE_CEILING)
-    mean = scores.mean("psnr_db")
-    limits[run.folder / "predictions" / split] = (mean, truth.ceiling_db, MEAN_ABOVE_CEILING)
-    for path, (psnr, ceiling, above) in limits.items():
-        assert ceiling is not None and psnr is not None, "the benchmark's datasets are rendered here"
-        if psnr > ceiling + above:
-            raise HyalineError(
-                f"{path}: a PSNR of {psnr:.1f} dB is above the noise ceiling of {ceiling:.1f} dB; expected pictures "
-                "that do not know the truth's noise"
-            )
     means, ceilings = {metric.key: scores.mean(metric.key) for metric in METRICS}, {"psnr_db": truth.ceiling_db}
     changed = None
     if masks is not None:
@@ -318,6 +307,18 @@ def _result(run: Run, split: Split, truth: Truth, scores: SplitScores, masks: Da
         means[CHANGED] = mean_of([masked_psnr(*pair) for pair in pairs])
         ceilings[CHANGED] = mean_of([_ceiling_db(run.dataset.view(split, view), inside[view]) for view in shown])
         changed = float(np.mean(inside))
+    folder, limits = run.folder / "predictions" / split, []
+    for view, psnr in zip(run.dataset.views(split), scores.images["psnr_db"], strict=True):
+        limits.append((prediction_path(run, split, view.index), psnr, view.record.ceiling_db, ABOVE_CEILING))
+    limits.append((folder, means["psnr_db"], ceilings["psnr_db"], MEAN_ABOVE_CEILING))
+    if run.dataset.edit is None and CHANGED in means:  # Edits may change a few pixels, whose PSNR is any number.
+        limits.append((folder, means[CHANGED], ceilings[CHANGED], ABOVE_CEILING))
+    for path, psnr, ceiling, above in limits:
+        if psnr is not None and ceiling is not None and psnr > ceiling + above:
+            raise HyalineError(
+                f"{path}: a PSNR of {psnr:.1f} dB is above the noise ceiling of {ceiling:.1f} dB; expected pictures "
+                "that do not know the truth's noise"
+            )
     return SplitResult(
         # The PSNR of few pixels may be infinite.
         metrics={key: None if value == math.inf else value for key, value in means.items()},

@@ -21,7 +21,7 @@ from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS, square
 from datagen.data.dataset import open_dataset
 from datagen.data.images import png_bytes, read_png, srgb_from_linear
 from datagen.data.paths import BUILT_IN_SCENES
-from datagen.data.variants import open_variant
+from datagen.data.variants import ELSEWHERE, open_variant, read_edit_mask
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import seal_bytes
 from datagen.scene.edits import parse_edit
@@ -29,7 +29,7 @@ from eval.score.runs import Run, open_run
 from hyaline_bench.cli import UNFITTED
 from hyaline_bench.floors import nearest_view
 from hyaline_bench.leaderboard import check_comparable, summarise
-from hyaline_bench.protocol import ALL, EDITS, GLASS, Protocol, choose_track, load_protocol
+from hyaline_bench.protocol import ALL, EDITS, GLASS, Protocol, choose_track, glass_masks, load_protocol
 from hyaline_bench.score import read_scored
 from model.run.sweep import Experiment, read_experiment
 
@@ -196,10 +196,14 @@ def test_one_near_copy_of_the_truth_among_bad_views_is_refused_by_its_name(predi
     assert "is above the noise ceiling of " in answer.error and not SCORES.exists()
 
 
-def write_noisy(psnr_db: float) -> None:
-    """Predicts a split with so much noise beside the truth, whose own noise allows 50 dB."""
-    for view in open_dataset(Path("data/synthetic-tiny")).views("interpolating"):
-        noise = np.random.default_rng(view.index).normal(0, 255 * 10 ** (-psnr_db / 20), view.image.shape)
+def write_noisy(psnr_db: float, glass_db: float | None = None) -> None:
+    """Predicts a split with so much noise beside the truth, whose own noise allows 50 dB; with other noise in glass."""
+    dataset = open_dataset(Path("data/synthetic-tiny"))
+    without_glass = dataclasses.replace(dataset, root=glass_masks(dataset).parent)
+    for view in dataset.views("interpolating"):
+        mask = read_edit_mask(without_glass, "interpolating", view.index)
+        decibels = np.where(mask == ELSEWHERE, psnr_db, glass_db or psnr_db)[..., None]
+        noise = np.random.default_rng(view.index).normal(0, 255 * 10 ** (-decibels / 20), view.image.shape)
         picture = np.clip(np.rint(np.clip(view.image, 9, 246) + noise), 0, 255).astype(np.uint8)
         PICTURE.with_name(f"{view.index:04d}.png").write_bytes(png_bytes(picture))
 
@@ -212,6 +216,9 @@ def test_a_perfect_method_is_scored_and_one_a_little_too_good_everywhere_is_refu
     answer = call("hyaline-bench score nearest-view --preset tiny")
     assert answer.status == 1
     assert re.search(r"predictions/interpolating: a PSNR of 5[12]\.\d dB is above the noise ceiling", answer.error)
+    write_noisy(30, glass_db=58)  # Copied where methods are ranked, bad elsewhere.
+    answer = call("hyaline-bench score nearest-view --preset tiny")
+    assert re.search(r"predictions/interpolating: a PSNR of 5[678]\.\d dB is above the noise ceiling", answer.error)
 
 
 def test_scores_on_another_dataset_of_a_scene_do_not_enter_a_table(predicted: Path, small_protocol: Protocol) -> None:
@@ -222,6 +229,8 @@ def test_scores_on_another_dataset_of_a_scene_do_not_enter_a_table(predicted: Pa
     check_comparable([scored, dataclasses.replace(scored, name="again")])
     with pytest.raises(HyalineError, match="other: was scored on another dataset of synthetic"):
         check_comparable([scored, other])
+    with pytest.raises(HyalineError, match="nearest-view: was scored at small, others at tiny"):
+        check_comparable([scored, dataclasses.replace(scored, name="nearest-view", preset="small")])
 
 
 # Tracks
@@ -238,6 +247,7 @@ def run_with(made: Path, *, seal: str | None, **known: Any) -> Run:
     [
         ("none", False, None, "pictures"),
         ("none", True, None, "materials"),
+        (None, True, None, "materials"),
         ("fitted", True, (), "masks"),
         ("fitted", True, None, "materials"),
         ("fitted", True, ("floor",), "materials"),
@@ -253,7 +263,12 @@ def run_with(made: Path, *, seal: str | None, **known: Any) -> Run:
     ],
 )
 def test_a_run_belongs_to_the_first_track_that_may_be_told_as_much(
-    made: Path, small_protocol: Protocol, geometry: str, uses_materials: bool, told: tuple[str, ...] | None, track: str
+    made: Path,
+    small_protocol: Protocol,
+    geometry: str | None,
+    uses_materials: bool,
+    told: tuple[str, ...] | None,
+    track: str,
 ) -> None:
     known = {"geometry": geometry, "uses_materials": uses_materials, "told": told}
     found, of_any = (run_with(made, seal=seal, **known) for seal in ("of model train", None))

@@ -16,7 +16,7 @@ from datagen.scene.description import CameraRig, Scene, SceneObject, WalkPoint
 from datagen.scene.materials import Dielectric, Diffuse, Material, ThinDielectric
 from datagen.scene.modelling import ball, lathe, merged, moved, rounded_box, sheet, transformed, tube, walled
 from datagen.scene.rig import cameras_within, make_cameras
-from datagen.scene.soundness import check_scene
+from datagen.scene.soundness import check_glass_is_seen, check_scene
 
 GLASS, GREY, PANE = Dielectric(), Diffuse(color=(0.5, 0.5, 0.5)), ThinDielectric()
 BALL = ball(0.2, subdivisions=3)
@@ -171,6 +171,13 @@ def test_real_cameras_in_glass_are_refused_that_a_sample_of_the_rig_misses() -> 
     check_scene(scene)
     with pytest.raises(HyalineError, match="object thing: a camera is inside this glass"):
         cameras_within(scene, cameras)
+
+
+def test_a_rig_none_of_whose_cameras_sees_glass_is_refused() -> None:
+    cameras = make_cameras(RIG, DatasetConfig.even("room", square(16), 8)).values()
+    check_glass_is_seen(scene_of(BALL), cameras)
+    with pytest.raises(HyalineError, match=r"no camera sees thing; .* or a rig with a target near it"):
+        check_glass_is_seen(scene_of(moved(BALL, (0, 0, 50))), cameras)
 
 
 def test_windings_are_those_of_the_solid_angle() -> None:
