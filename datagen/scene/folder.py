@@ -27,6 +27,7 @@ from datagen.scene.description import (
     RectangleLight,
     Scene,
     SceneObject,
+    SoftEnvironment,
     image_bytes,
 )
 from datagen.scene.materials import Material
@@ -205,6 +206,9 @@ def _parse_scene(data: dict[str, Json], path: Path) -> _SceneFile:
             for index, entry in enumerate(listed)
         )
         data = {**data, "objects": []}
+    for key, first in (("environment", SoftEnvironment), ("cameras", CameraRig)):
+        if isinstance(described := data.get(key), dict):  # Old files have no type: there was only one kind.
+            data = {**data, key: {"type": first.__name__, **described}}
     return dataclasses.replace(_parse_in(_SceneFile, data, where=str(path)), objects=objects)
 
 
