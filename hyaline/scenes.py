@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Int, Integer, Real
 
-from datagen.data.meshes import Mesh
+from datagen.data.meshes import Mesh, mesh_from
 from datagen.disk.errors import HyalineError, printable
 from datagen.disk.records import checked
 from datagen.scene import description
@@ -206,13 +206,8 @@ def _described(item: Object) -> tuple[SceneObject, bool]:
         vertices, faces, uv = given.vertices, given.faces, getattr(getattr(given, "visual", None), "uv", None)
     vertices, faces = _checked(vertices, faces, where=where)
     has_uv = uv is not None and np.shape(uv) == (len(vertices), 2) and bool(np.any(uv))
-    mesh = Mesh(
-        vertices=vertices.astype(np.float32),
-        faces=faces.astype(np.int32),
-        normals=np.zeros(vertices.shape, np.float32),
-        uv=np.asarray(uv if has_uv else np.zeros((len(vertices), 2)), np.float32),
-    )
-    mesh = with_new_normals(mesh, crease_deg=CREASE_DEG)
+    bare = mesh_from(vertices, faces, np.zeros(vertices.shape), np.asarray(uv, np.float32) if has_uv else None)
+    mesh = with_new_normals(bare, crease_deg=CREASE_DEG)
     return SceneObject(name=item.name, mesh=mesh, material=item.material), has_uv
 
 

@@ -10,7 +10,16 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from datagen.data.geometries import ProxyStatistics
-from datagen.data.meshes import Mesh, component_of_faces, face_corners, normals_of, open_edges, points_on, signed_volume
+from datagen.data.meshes import (
+    Mesh,
+    component_of_faces,
+    face_corners,
+    mesh_from,
+    normals_of,
+    open_edges,
+    points_on,
+    signed_volume,
+)
 from datagen.data.queries import crossings, nearest_points, windings
 from datagen.scene.atlas import coverage, unwrap_all
 
@@ -142,12 +151,7 @@ def unwrap_surfaces(surfaces: tuple[Surface, ...]) -> tuple[Mesh, ...]:
     """Each surface with a uv of its own for every point; vertices stand several times along the atlas's seams."""
     charted = unwrap_all(
         {
-            f"proxy {index + 1} of {len(surfaces)}": Mesh(
-                vertices=surface.charted.astype(np.float32),
-                faces=surface.faces.astype(np.int32),
-                normals=surface.normals.astype(np.float32),
-                uv=np.zeros((len(surface.vertices), 2), np.float32),
-            )
+            f"proxy {index + 1} of {len(surfaces)}": mesh_from(surface.charted, surface.faces, surface.normals)
             for index, surface in enumerate(surfaces)
         }
     )
@@ -181,12 +185,7 @@ def _laid_on(surface: Surface, charted: Mesh) -> Mesh:
     """The surface with the atlas of its charted twin, whose faces are the same in the same order."""
     vertex_of = np.zeros(len(charted.vertices), np.int64)
     vertex_of[charted.faces] = surface.faces
-    return Mesh(
-        vertices=surface.vertices[vertex_of].astype(np.float32),
-        faces=charted.faces,
-        normals=surface.normals[vertex_of].astype(np.float32),
-        uv=charted.uv,
-    )
+    return mesh_from(surface.vertices[vertex_of], charted.faces, surface.normals[vertex_of], charted.uv)
 
 
 def smallest_chart(mesh: Mesh) -> float:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64, Int, Int32
+from jaxtyping import Float, Float32, Float64, Int, Int32, Integer
 
 from datagen.disk.errors import HyalineError
 
@@ -34,6 +34,19 @@ class Mesh:
     """Unit shading normals, outward."""
     uv: Float32[np.ndarray, "vertex 2"]
     """Atlas coordinates in [0, 1]; every surface point has its own texels. v points up in the image."""
+
+
+def mesh_from(
+    positions: Float[np.ndarray, "vertex 3"],
+    faces: Integer[np.ndarray, "face 3"],
+    normals: Float[np.ndarray, "vertex 3"] | None = None,
+    uv: Float[np.ndarray, "vertex 2"] | None = None,
+) -> Mesh:
+    """The mesh of arrays of any precision; by default its normals are smooth and its uv are 0."""
+    normals = vertex_normals(positions, faces) if normals is None else normals
+    uv = np.zeros((len(positions), 2)) if uv is None else uv
+    vertices, normals, uv = (np.ascontiguousarray(values, np.float32) for values in (positions, normals, uv))
+    return Mesh(vertices=vertices, faces=np.ascontiguousarray(faces, np.int32), normals=normals, uv=uv)
 
 
 def no_mesh() -> Mesh:

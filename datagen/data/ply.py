@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Int32
 
-from datagen.data.meshes import Mesh, unfolded, vertex_normals
+from datagen.data.meshes import Mesh, mesh_from, unfolded
 from datagen.disk.errors import HyalineError, shown
 from datagen.disk.storage import read_regular
 
@@ -83,16 +83,10 @@ def decode_ply(data: bytes, *, where: str) -> tuple[Mesh, bool]:
             raise HyalineError(f"{where}: has positions that are not three finite numbers; export it again")
         faces = _triangles(face["vertex_indices" if "vertex_indices" in face else "vertex_index"], positions, where)
         has_normals = {"nx", "ny", "nz"} <= vertex.keys()
-        normals = _stacked(vertex, ("nx", "ny", "nz")) if has_normals else vertex_normals(positions, faces)
+        normals = _stacked(vertex, ("nx", "ny", "nz")) if has_normals else None
         uv_names = next((pair for pair in ("st", "uv") if {*pair} <= vertex.keys()), None)
-        uv = _stacked(vertex, uv_names) if uv_names else np.zeros((len(positions), 2))
-    mesh = Mesh(
-        vertices=positions.astype(np.float32),
-        faces=faces,
-        normals=normals.astype(np.float32),
-        uv=uv.astype(np.float32),
-    )
-    return mesh, uv_names is not None
+        uv = _stacked(vertex, uv_names) if uv_names else None
+    return mesh_from(positions, faces, normals, uv), uv is not None
 
 
 def _stacked(columns: Columns, names: Iterable[str]) -> np.ndarray:

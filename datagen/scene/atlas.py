@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, Float32, Int32
 
-from datagen.data.meshes import Mesh, check_numbers, is_there
+from datagen.data.meshes import Mesh, check_numbers, is_there, mesh_from
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import commit, private_cache
 from datagen.machine.processes import ChildError, arrays_from_child
@@ -279,12 +279,7 @@ def _with_uv(mesh: Mesh, atlas: Arrays, *, where: str) -> Mesh:
     if not ((uv >= 0) & (uv <= 1)).all():  # NaN, too.
         raise HyalineError(f"{where}: xatlas's uv span {uv.min():g} to {uv.max():g}; expected [0, 1]")
     assert np.array_equal(vertex_of[faces], mesh.faces), "xatlas keeps the faces and their order"
-    return Mesh(
-        vertices=mesh.vertices[vertex_of].astype(np.float32),
-        faces=faces,
-        normals=mesh.normals[vertex_of].astype(np.float32),
-        uv=uv.astype(np.float32),
-    )
+    return mesh_from(mesh.vertices[vertex_of], faces, mesh.normals[vertex_of], uv)
 
 
 def _unwrap_here(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, ...]:

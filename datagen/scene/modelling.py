@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from datagen.data.meshes import Mesh
+from datagen.data.meshes import Mesh, mesh_from
 from datagen.scene.shading_normals import corner_normals, split_corners
 
 Point = tuple[float, float, float]
@@ -50,7 +50,7 @@ def rounded_box(size: Point, *, bevel: float, segments: int = 3) -> Mesh:
     core = np.clip(on_cube, bevel - half, half - bevel)
     normals = on_cube - core
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-    return _mesh(core + bevel * normals, index.reshape(-1)[np.concatenate(faces)], normals)
+    return mesh_from(core + bevel * normals, index.reshape(-1)[np.concatenate(faces)], normals)
 
 
 def ball(radius: float, *, subdivisions: int = 4) -> Mesh:
@@ -59,7 +59,7 @@ def ball(radius: float, *, subdivisions: int = 4) -> Mesh:
 
     sphere = trimesh.creation.icosphere(subdivisions)
     directions = sphere.vertices / np.linalg.norm(sphere.vertices, axis=-1, keepdims=True)
-    return _mesh(radius * directions, np.asarray(sphere.faces), directions)
+    return mesh_from(radius * directions, np.asarray(sphere.faces), directions)
 
 
 def lathe(
@@ -155,7 +155,7 @@ def sheet(corner: Point, edge_u: Point, edge_v: Point, *, cells: tuple[int, int]
     normal = np.cross(edge_u, edge_v)
     positions = positions.reshape(-1, 3)
     normals = np.broadcast_to(normal / np.linalg.norm(normal), positions.shape)
-    return _mesh(positions, grid_faces(cells[0] + 1, cells[1] + 1), normals)
+    return mesh_from(positions, grid_faces(cells[0] + 1, cells[1] + 1), normals)
 
 
 def leaf(length: float, width: float, *, droop: float, fold: float = 0.25, rows: int = 5) -> Mesh:
@@ -349,7 +349,7 @@ def shaded(positions: Points, faces: np.ndarray, *, crease_deg: float) -> Mesh:
     faces = faces[np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 1]), axis=-1) > 0]
     normals = corner_normals(positions, faces, crease_deg=crease_deg)
     at, first, index = split_corners(faces, normals)
-    return _mesh(positions[at], index, normals[first])
+    return mesh_from(positions[at], index, normals[first])
 
 
 def convex_hull(points: Points, *, crease_deg: float) -> Mesh:
@@ -358,15 +358,6 @@ def convex_hull(points: Points, *, crease_deg: float) -> Mesh:
 
     found = trimesh.convex.convex_hull(points)
     return shaded(np.asarray(found.vertices, np.float64), np.asarray(found.faces), crease_deg=crease_deg)
-
-
-def _mesh(positions: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> Mesh:
-    return Mesh(
-        vertices=np.ascontiguousarray(positions, np.float32),
-        faces=np.ascontiguousarray(faces, np.int32),
-        normals=np.ascontiguousarray(normals, np.float32),
-        uv=np.zeros((len(positions), 2), np.float32),
-    )
 
 
 def grid_faces(rows: int, columns: int) -> np.ndarray:

@@ -6,7 +6,16 @@ from functools import partial
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from datagen.data.meshes import MIN_AREA, Mesh, face_areas, open_edges, signed_volume, vertex_normals, welded
+from datagen.data.meshes import (
+    MIN_AREA,
+    Mesh,
+    face_areas,
+    mesh_from,
+    open_edges,
+    signed_volume,
+    vertex_normals,
+    welded,
+)
 from datagen.data.queries import parts_inside_out
 from datagen.disk.errors import HyalineError
 from datagen.scene.modelling import CREASE_DEG
@@ -41,12 +50,7 @@ def mesh_of(
     faces = faces[~is_flat]
     if not len(faces):
         raise HyalineError(f"{where}: has no face with an area; expected a surface")
-    mesh = Mesh(
-        vertices=vertices,
-        faces=np.ascontiguousarray(faces, np.int32),
-        normals=np.zeros_like(vertices) if normals is None else unit(normals).astype(np.float32),
-        uv=np.zeros((len(vertices), 2), np.float32) if uv is None else uv.astype(np.float32),
-    )
+    mesh = mesh_from(vertices, faces, np.zeros_like(vertices) if normals is None else unit(normals), uv)
     return mesh if normals is not None else with_new_normals(mesh, crease_deg=crease_deg)
 
 
@@ -162,12 +166,8 @@ def closed(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
         lids.append(np.stack([np.roll(rim, -1), rim, np.full(len(rim), center)], axis=-1))
         vertices.append(middle[None])
         uv.append(mesh.uv[place[loop]].mean(axis=0, keepdims=True))
-    whole = Mesh(
-        vertices=np.concatenate(vertices).astype(np.float32),
-        faces=np.concatenate(lids).astype(np.int32),
-        normals=np.concatenate([mesh.normals, np.zeros((len(vertices) - 1, 3), np.float32)]),
-        uv=np.concatenate(uv).astype(np.float32),
-    )
+    normals = np.concatenate([mesh.normals, np.zeros((len(vertices) - 1, 3), np.float32)])
+    whole = mesh_from(np.concatenate(vertices), np.concatenate(lids), normals, np.concatenate(uv))
     if count := open_edges(whole):
         raise HyalineError(
             f"{where}: {count} edges stay open, where faces cross or more than two meet; close it in a modeller, "
@@ -285,8 +285,7 @@ def _without_slivers(mesh: Mesh) -> Mesh | None:
     for each in (solid, solid.simplify(SHORT_EDGE)):
         out = each.to_mesh()
         positions, normals, uv, _ = np.split(np.asarray(out.vert_properties, np.float32), [3, 6, 8], axis=1)
-        vertices, normals, uv = map(np.ascontiguousarray, (positions, normals, uv))
-        found = Mesh(vertices=vertices, faces=np.asarray(out.tri_verts).astype(np.int32), normals=normals, uv=uv)
+        found = mesh_from(positions, np.asarray(out.tri_verts), normals, uv)
         if not open_edges(found) and not _without_area(found).any():
             return found
     return None
@@ -306,9 +305,4 @@ def _twice(mesh: Mesh, *, is_solid: bool) -> Bool[np.ndarray, " face"]:
 def part_of(mesh: Mesh, is_kept: np.ndarray) -> Mesh:
     """Some faces of a mesh, with the vertices that they use."""
     used, faces = np.unique(mesh.faces[is_kept], return_inverse=True)
-    return Mesh(
-        vertices=mesh.vertices[used],
-        faces=faces.reshape(-1, 3).astype(np.int32),
-        normals=mesh.normals[used],
-        uv=mesh.uv[used],
-    )
+    return mesh_from(mesh.vertices[used], faces.reshape(-1, 3), mesh.normals[used], mesh.uv[used])

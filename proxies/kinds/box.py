@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from datagen.data.meshes import Mesh, normals_of
+from datagen.data.meshes import Mesh, mesh_from, normals_of
 from datagen.scene.modelling import grid_faces
 from proxies.solid import Solid
 
@@ -97,12 +97,8 @@ def box_mesh(box: Box) -> Mesh:
             uv.append(low + np.stack([s, t], axis=-1) * (high - low))
             faces.append(total + grid_faces(int(counts[along_u]) + 1, int(counts[along_v]) + 1))
             total += len(s)
-    return Mesh(
-        vertices=np.concatenate(vertices).astype(np.float32),
-        faces=np.concatenate(faces).astype(np.int32),
-        normals=np.concatenate(normals).astype(np.float32),
-        uv=np.clip(np.concatenate(uv), 0, 1).astype(np.float32),
-    )
+    within = np.clip(np.concatenate(uv), 0, 1)
+    return mesh_from(np.concatenate(vertices), np.concatenate(faces), np.concatenate(normals), within)
 
 
 def _directions(solid: Solid) -> np.ndarray:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from datagen.data.meshes import Mesh
+from datagen.data.meshes import Mesh, mesh_from
 from datagen.scene.modelling import grid_faces
 from proxies.solid import Solid, gauge, planes_of
 
@@ -59,12 +59,7 @@ def fit_ellipsoid(solid: Solid, *, padding: float) -> Mesh:
     positions = ellipsoid.center + x * root[0] + y * root[1] + z * root[2]
     normals = grid.positions @ np.linalg.inv(root)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-    return Mesh(
-        vertices=positions[grid.position_of].astype(np.float32),
-        faces=grid.faces.astype(np.int32),
-        normals=normals[grid.position_of].astype(np.float32),
-        uv=grid.uv.astype(np.float32),
-    )
+    return mesh_from(positions[grid.position_of], grid.faces, normals[grid.position_of], grid.uv)
 
 
 def smallest_ellipsoid(points: Float64[np.ndarray, "point 3"]) -> Ellipsoid:

@@ -6,14 +6,14 @@ import numpy as np
 import trimesh
 from jaxtyping import Int32
 
-from datagen.data.meshes import Mesh, face_corners, vertex_normals
+from datagen.data.meshes import Mesh, face_corners, mesh_from
 from datagen.scene.atlas import _rasterise
 
 
 def mesh_of(shape: trimesh.Trimesh, seed: int = 0) -> Mesh:
     vertices, faces = np.asarray(shape.vertices, np.float32), np.asarray(shape.faces, np.int32)
     uv = np.random.default_rng(seed).random((len(vertices), 2), np.float32)
-    return Mesh(vertices=vertices, faces=faces, normals=vertex_normals(vertices, faces).astype(np.float32), uv=uv)
+    return mesh_from(vertices, faces, uv=uv)
 
 
 def box(size: tuple[float, float, float]) -> Mesh:

@@ -10,7 +10,7 @@ from support.foreign import add, glass_entry, taken
 from support.gltf import BOX, glass_of
 from support.meshes import inside_out
 
-from datagen.data.meshes import MIN_AREA, Mesh, face_areas, open_edges, signed_volume, vertex_normals, welded
+from datagen.data.meshes import MIN_AREA, Mesh, face_areas, mesh_from, open_edges, signed_volume, welded
 from datagen.data.queries import check_closed
 from datagen.disk.errors import HyalineError
 from datagen.scene.finding import ImportChoices
@@ -86,9 +86,7 @@ def with_split_edges(mesh: Mesh, *, bridged: bool) -> Mesh:
         found.append((found[a] + found[b]) / 2)
         faces[index] = [a, middle, c]
         faces += [[middle, b, c], *[[a, b, middle]] * bridged]
-    vertices, corners = np.array(found, np.float32), np.array(faces, np.int32)
-    normals = vertex_normals(vertices, corners).astype(np.float32)
-    return Mesh(vertices=vertices, faces=corners, normals=normals, uv=np.zeros((len(vertices), 2), np.float32))
+    return mesh_from(np.array(found), np.array(faces))
 
 
 @pytest.mark.parametrize("bridged", [True, False])

@@ -14,22 +14,19 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numba
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, UInt8
 
 from datagen.data.cameras import Cameras
-from datagen.data.meshes import Mesh
+from datagen.data.meshes import Mesh, mesh_from
 from datagen.disk.errors import HyalineError
 from datagen.machine.compiled import compiled
 from datagen.machine.processes import num_cores
 from datagen.scene.atlas import find_arrays, keep_arrays, key_of, unwrap
 from datagen.terminal.command import say, track
-
-if TYPE_CHECKING:
-    import trimesh
 
 PLANES = 192
 """Depths that are tried in the smallest pictures, evenly spaced in 1 / depth."""
@@ -346,16 +343,8 @@ def fuse(
         return fuse(maps, low, high, 1.02 * voxel * (len(surface.faces) / MOST_FACES) ** 0.5, is_wanted)
     pieces = surface.split(only_watertight=False)
     pieces = [piece for piece in pieces if piece.area > LEAST_AREA * voxel**2]
-    return [_mesh(piece) for piece in sorted(pieces, key=lambda piece: -piece.area)]
-
-
-def _mesh(piece: "trimesh.Trimesh") -> Mesh:
-    return Mesh(
-        vertices=piece.vertices.astype(np.float32),
-        faces=piece.faces.astype(np.int32),
-        normals=piece.vertex_normals.astype(np.float32),
-        uv=np.zeros((len(piece.vertices), 2), np.float32),
-    )
+    pieces.sort(key=lambda piece: -piece.area)
+    return [mesh_from(piece.vertices, piece.faces, piece.vertex_normals) for piece in pieces]
 
 
 def with_uv(mesh: Mesh, *, where: str) -> Mesh:
@@ -374,12 +363,8 @@ def faces_apart(mesh: Mesh) -> Mesh:
     lower = np.array([(0.1, 0.1), (0.8, 0.1), (0.1, 0.8)])
     inside = np.where(place[:, None, None] % 2, 1 - lower, lower)
     uv = (np.stack([place // 2 % side, place // 2 // side], axis=-1)[:, None] + inside) / side
-    return Mesh(
-        vertices=mesh.vertices[mesh.faces].reshape(-1, 3),
-        faces=np.arange(3 * len(place), dtype=np.int32).reshape(-1, 3),
-        normals=mesh.normals[mesh.faces].reshape(-1, 3),
-        uv=uv.reshape(-1, 2).astype(np.float32),
-    )
+    vertices, normals = (values[mesh.faces].reshape(-1, 3) for values in (mesh.vertices, mesh.normals))
+    return mesh_from(vertices, np.arange(3 * len(place)).reshape(-1, 3), normals, uv.reshape(-1, 2))
 
 
 def _averages(

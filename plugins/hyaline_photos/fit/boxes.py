@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Float64
 from scipy import optimize
 
-from datagen.data.meshes import Mesh
+from datagen.data.meshes import Mesh, mesh_from
 from datagen.scene.modelling import grid_faces, rotation
 from hyaline_photos.fit.outside import find_center
 from hyaline_photos.fit.shapes import Glass, perpendicular
@@ -223,9 +223,4 @@ def _rounded(box: Box) -> Mesh:
     normals /= np.sqrt((normals * normals).sum(axis=1, keepdims=True))
     # Sums instead of a matrix product, which may round equal rows differently.
     position = sum(((inner + box.rounding * normals)[:, [axis]] * box.axes[axis] for axis in range(3)), box.center)
-    return Mesh(
-        vertices=position.astype(np.float32),
-        faces=np.concatenate(faces).astype(np.int32),
-        normals=(normals @ box.axes).astype(np.float32),
-        uv=np.concatenate(uv).astype(np.float32),
-    )
+    return mesh_from(position, np.concatenate(faces), normals @ box.axes, np.concatenate(uv))

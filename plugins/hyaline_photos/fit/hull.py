@@ -11,7 +11,7 @@ from scipy import ndimage, sparse
 from scipy.sparse import linalg
 from scipy.spatial import KDTree
 
-from datagen.data.meshes import Mesh, vertex_normals
+from datagen.data.meshes import Mesh, mesh_from, vertex_normals
 from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import unwrap
 from hyaline_photos.fit.outside import find_center
@@ -83,13 +83,7 @@ def carve(sightings: Sightings, object_id: int, up: Float[np.ndarray, "3"], supp
     positions, faces = _carved(sightings, object_id, rays, up, support)
 
     def smoothed(some: NearRays, scale: float) -> Mesh:
-        vertices = _smoothed(positions, faces, some, scale, up=up, support=support)
-        return Mesh(
-            vertices=vertices.astype(np.float32),
-            faces=faces.astype(np.int32),
-            normals=vertex_normals(vertices, faces).astype(np.float32),
-            uv=np.zeros((len(vertices), 2), np.float32),
-        )
+        return mesh_from(_smoothed(positions, faces, some, scale, up=up, support=support), faces)
 
     return HullShape(surface=smoothed(rays, _scale_of_bumps(rays, smoothed)))
 

@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 from jaxtyping import Float, Float64
 
-from datagen.data.meshes import Mesh
+from datagen.data.meshes import Mesh, mesh_from
 from datagen.scene.materials import Dielectric, Material, RoughDielectric
 
 OUTSIDE, RIM, INSIDE, CORNER = 120, 6, 64, 12
@@ -292,12 +292,7 @@ def revolved(axis: Axis, outline: Outline) -> Mesh:
     faces = np.concatenate([lower[1:].reshape(-1, 3), upper[:-1].reshape(-1, 3)])
     along = np.repeat(np.arange(len(outline)), 2)[1:-1] / (len(outline) - 1)
     uv = np.stack(np.broadcast_arrays(np.linspace(0, 1, SEGMENTS + 1), along[:, None]), axis=-1)
-    return Mesh(
-        vertices=(axis.point + swept).reshape(-1, 3).astype(np.float32),
-        faces=faces.astype(np.int32),
-        normals=turned.reshape(-1, 3).astype(np.float32),
-        uv=uv.reshape(-1, 2).astype(np.float32),
-    )
+    return mesh_from((axis.point + swept).reshape(-1, 3), faces, turned.reshape(-1, 3), uv.reshape(-1, 2))
 
 
 def spread(line: Outline, count: int) -> Outline:

@@ -10,7 +10,7 @@ import trimesh
 from PIL import Image
 from support.synthetic import synthetic_scene
 
-from datagen.data.meshes import Mesh, face_areas, points_on
+from datagen.data.meshes import Mesh, face_areas, mesh_from, points_on
 from datagen.data.ply import write_ply
 from datagen.data.queries import check_closed
 from datagen.disk.errors import HyalineError
@@ -30,12 +30,8 @@ def with_uv(mesh: Mesh) -> Mesh:
     low, size = mesh.vertices.min(axis=0), np.ptp(mesh.vertices, axis=0)
     xy = ((corners - low) / size)[..., :2] * [0.49, 1]
     xy[is_upper, :, 0] += 0.5
-    return Mesh(
-        vertices=corners.reshape(-1, 3),
-        faces=np.arange(3 * len(corners), dtype=np.int32).reshape(-1, 3),
-        normals=mesh.normals[mesh.faces].reshape(-1, 3),
-        uv=xy.reshape(-1, 2).astype(np.float32),
-    )
+    faces, normals = np.arange(3 * len(corners)).reshape(-1, 3), mesh.normals[mesh.faces].reshape(-1, 3)
+    return mesh_from(corners.reshape(-1, 3), faces, normals, xy.reshape(-1, 2))
 
 
 BALL = with_uv(ball(0.3, subdivisions=2))

@@ -11,7 +11,7 @@ from support.reference import fresnel_reflectance
 from support.scenes import DUSK, seen_along
 from support.synthetic import quad
 
-from datagen.data.meshes import Mesh
+from datagen.data.meshes import Mesh, mesh_from
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.render.mitsuba_scene import radiance_of_environment
 from datagen.scene.description import SceneObject
@@ -108,12 +108,7 @@ def test_a_weak_lens_focuses_where_the_lens_maker_says() -> None:
     up = np.where(vertices[:, 2] >= 0, 1.0, -1.0)
     centers = np.stack([0 * up, 0 * up, -up * (radius - thickness / 2)], axis=1)
     normals = vertices - centers
-    mesh = Mesh(
-        vertices=vertices.astype(np.float32),
-        faces=np.asarray(lens.faces, np.int32),
-        normals=(normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32),
-        uv=np.zeros((len(vertices), 2), np.float32),
-    )
+    mesh = mesh_from(vertices, lens.faces, normals / np.linalg.norm(normals, axis=1, keepdims=True))
     focal = 1 / ((ior - 1) * (2 / radius - (ior - 1) * thickness / (ior * radius**2)))
     offsets = np.array([0.05, 0.1, 0.15])
     origins = np.stack([offsets, 0.3 * offsets, np.full(3, 1.0)], axis=1)
