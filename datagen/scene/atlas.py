@@ -107,6 +107,17 @@ def _unwrap_in_child(surfaces: dict[str, Arrays]) -> dict[str, Arrays]:
     }
 
 
+def faces_apart(mesh: Mesh) -> Mesh:
+    """The mesh with a chart for each face, two in each square of a grid."""
+    place = np.arange(len(mesh.faces))
+    side = int(np.ceil(np.sqrt((len(place) + 1) // 2)))
+    lower = np.array([(0.1, 0.1), (0.8, 0.1), (0.1, 0.8)])
+    inside = np.where(place[:, None, None] % 2, 1 - lower, lower)
+    uv = (np.stack([place // 2 % side, place // 2 // side], axis=-1)[:, None] + inside) / side
+    vertices, normals = (values[mesh.faces].reshape(-1, 3) for values in (mesh.vertices, mesh.normals))
+    return mesh_from(vertices, np.arange(3 * len(place)).reshape(-1, 3), normals, uv.reshape(-1, 2))
+
+
 def bake_positions(mesh: Mesh, size: int) -> Float32[np.ndarray, "tex_h tex_w 3"]:
     """World position of the surface at each texel centre; gutters hold the nearest chart's border.
 

@@ -13,10 +13,10 @@ from datagen.data.dataset import Dataset
 from datagen.data.geometries import geometry_hash
 from datagen.data.images import encode_exr, linear_from_srgb, png_bytes
 from datagen.data.layers import start_layers
-from datagen.data.meshes import Mesh
 from datagen.data.paths import TRUTH, layers_root
 from datagen.data.writing import commit_view, write_head
 from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.scene.atlas import faces_apart
 from datagen.scene.description import CameraRig, Scene, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.folder import scene_files
 from datagen.scene.materials import Dielectric, Diffuse, Plastic, SolidTexture, ThinDielectric
@@ -27,20 +27,6 @@ BALL = (np.array([0.0, 0.0, 0.7]), 0.3)
 
 SLAB = (0.45, 0.55)
 """z of the faces of a slab of glass below a part of the floor's view; it spans 0.5 to 1.3 in x and -0.4 to 0.4 in y."""
-
-
-def with_own_uv(mesh: Mesh) -> Mesh:
-    """The mesh with a cell of the atlas for each face, and vertices of its own: an atlas that needs no xatlas."""
-    count = len(mesh.faces)
-    side = int(np.ceil(np.sqrt(count)))
-    corner = np.stack(np.divmod(np.arange(count), side)[::-1], axis=-1)[:, None]
-    triangle = np.array([[0.1, 0.1], [0.9, 0.1], [0.1, 0.9]])
-    return Mesh(
-        vertices=mesh.vertices[mesh.faces].reshape(-1, 3),
-        faces=np.arange(3 * count, dtype=np.int32).reshape(-1, 3),
-        normals=mesh.normals[mesh.faces].reshape(-1, 3),
-        uv=((corner + triangle) / side).reshape(-1, 2).astype(np.float32),
-    )
 
 
 def glass_scene() -> Scene:
@@ -59,7 +45,7 @@ def glass_scene() -> Scene:
         "cube": (moved(rounded_box((0.4, 0.4, 0.4), bevel=0.05), (0, 0.9, 0.25)), Plastic(color=(0.2, 0.6, 0.3))),
     }
     objects = tuple(
-        SceneObject(name=name, mesh=with_own_uv(mesh), material=material) for name, (mesh, material) in things.items()
+        SceneObject(name=name, mesh=faces_apart(mesh), material=material) for name, (mesh, material) in things.items()
     )
     return Scene(
         name="glasses",
@@ -114,4 +100,4 @@ def _cameras(split: Split, count: int, size: Resolution) -> Cameras:
     return Cameras(world_from_camera=np.stack(poses), fov_x=np.radians(50), width=size.width, height=size.height)
 
 
-__all__ = ["BALL", "SLAB", "glass_scene", "pixel_rays", "with_own_uv", "write_traced_dataset"]
+__all__ = ["BALL", "SLAB", "glass_scene", "pixel_rays", "write_traced_dataset"]

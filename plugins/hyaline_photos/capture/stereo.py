@@ -25,7 +25,7 @@ from datagen.data.meshes import Mesh, mesh_from
 from datagen.disk.errors import HyalineError
 from datagen.machine.compiled import compiled
 from datagen.machine.processes import num_cores
-from datagen.scene.atlas import find_arrays, keep_arrays, key_of, unwrap
+from datagen.scene.atlas import faces_apart, find_arrays, keep_arrays, key_of, unwrap
 from datagen.terminal.command import say, track
 
 PLANES = 192
@@ -354,17 +354,6 @@ def with_uv(mesh: Mesh, *, where: str) -> Mesh:
     except HyalineError as error:
         say(f"{error}; each of its faces becomes a chart instead")
         return faces_apart(mesh)
-
-
-def faces_apart(mesh: Mesh) -> Mesh:
-    """The mesh with a chart for each face, two in each square of a grid."""
-    place = np.arange(len(mesh.faces))
-    side = int(np.ceil(np.sqrt((len(place) + 1) // 2)))
-    lower = np.array([(0.1, 0.1), (0.8, 0.1), (0.1, 0.8)])
-    inside = np.where(place[:, None, None] % 2, 1 - lower, lower)
-    uv = (np.stack([place // 2 % side, place // 2 // side], axis=-1)[:, None] + inside) / side
-    vertices, normals = (values[mesh.faces].reshape(-1, 3) for values in (mesh.vertices, mesh.normals))
-    return mesh_from(vertices, np.arange(3 * len(place)).reshape(-1, 3), normals, uv.reshape(-1, 2))
 
 
 def _averages(

@@ -9,11 +9,12 @@ from jaxtyping import Float, Float32, UInt8
 
 from datagen.data.cameras import Cameras, Lens, look_at
 from datagen.data.images import linear_from_srgb, srgb_from_linear, to_8bit
+from datagen.scene.atlas import faces_apart
 from datagen.scene.mending import atlas_fault
 from datagen.scene.rig import towards
 from hyaline_photos.capture.exposure import find_exposures
 from hyaline_photos.capture.room import Outline, fit_room, lacking
-from hyaline_photos.capture.stereo import DepthMaps, faces_apart, find_depths, fuse
+from hyaline_photos.capture.stereo import DepthMaps, find_depths, fuse
 
 RADIUS, FLOOR = 0.25, -0.25
 """A ball around the origin, on a floor."""

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import torch
 from support.meshes import box
-from support.traced_dataset import with_own_uv
 from support.web_scenes import SHAPE, VIEW, every_surface, opened_page, psnr, write_scene
 
 from datagen.data.dataset import Dataset
 from datagen.data.meshes import Mesh
 from datagen.data.paths import TRUTH
+from datagen.scene.atlas import faces_apart
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.materials import Dielectric, Diffuse
 from datagen.trace.peel import Peeler
@@ -36,7 +36,7 @@ def boxes() -> Scene:
     """A box in a box, and one beside them."""
 
     def placed(size: tuple[float, float, float], *place: float) -> Mesh:
-        mesh = with_own_uv(box(size))
+        mesh = faces_apart(box(size))
         return dataclasses.replace(mesh, vertices=mesh.vertices + np.float32(place))
 
     grey = Diffuse(color=(0.5, 0.5, 0.5))
