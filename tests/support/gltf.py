@@ -80,10 +80,13 @@ class GltfBuilder:
         more = {"extensions": extensions} if extensions else {}
         return self.add("materials", {"name": name, **entry, **more})
 
-    def glb(self) -> bytes:
-        """The bytes of a GLB."""
-        content = {**self.content, "buffers": [{"byteLength": len(self.binary)}]}
-        text = json.dumps(content).encode()
+    def whole(self) -> dict:
+        """The JSON of a GLB, the buffer included."""
+        return {**self.content, "buffers": [{"byteLength": len(self.binary)}]}
+
+    def glb(self, content: dict | None = None) -> bytes:
+        """The bytes of a GLB, of other JSON if given."""
+        text = json.dumps(content or self.whole()).encode()
         text += b" " * (-len(text) % 4)
         binary = bytes(self.binary) + b"\0" * (-len(self.binary) % 4)
         chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(binary), 0x004E4942) + binary

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 import torch
+from support.builds import tree
 
 from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
@@ -25,10 +26,6 @@ SMALL = TrainConfig(
     evaluate_every=5,
     checkpoint_every=4,
 )
-
-
-def run_bytes(out: Path) -> dict[str, bytes]:
-    return {path.relative_to(out).as_posix(): path.read_bytes() for path in sorted(out.rglob("*")) if path.is_file()}
 
 
 def stop_at(monkeypatch: pytest.MonkeyPatch, step: int) -> None:
@@ -56,7 +53,7 @@ def assert_resumes(
     for out in (folder / "whole", folder / "parts"):
         render_predictions(out, config, dataset, device=device)
         assert is_drawn(out, dataset)
-    assert run_bytes(folder / "whole") == run_bytes(folder / "parts")
+    assert tree(folder / "whole") == tree(folder / "parts")
 
 
 def quick(dataset: Dataset, out: Path) -> tuple[str, ...]:

@@ -11,11 +11,10 @@ import trimesh
 from support.fits import write_fit
 from support.meshes import mesh_of
 from support.pages import ReadPage, read_page
-from support.synthetic import write_synthetic_dataset
+from support.synthetic import write_predictions, write_synthetic_dataset
 
-from datagen.data.config import TEST_SPLITS, Imported
+from datagen.data.config import Imported
 from datagen.data.dataset import Dataset
-from datagen.data.images import png_bytes
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import commit_sealed, load_sealed
 from eval.page.report import make_report
@@ -37,11 +36,7 @@ def test_the_floor_of_a_vessel_is_measured_on_its_axis_from_its_lowest_point() -
 def root(tmp_path: Path) -> Path:
     """A dataset whose pane was fitted, with a run."""
     dataset = write_synthetic_dataset(tmp_path / "data" / "synthetic")
-    for split in TEST_SPLITS:
-        pictures = tmp_path / "runs" / "synthetic" / "told" / "predictions" / split
-        pictures.mkdir(parents=True)
-        for view in dataset.views(split):
-            (pictures / f"{view.index:04d}.png").write_bytes(png_bytes(view.image))
+    write_predictions(dataset, tmp_path / "runs" / "synthetic" / "told", lambda picture: picture)
     write_fit(dataset, tmp_path / "runs" / "synthetic" / "fit-fitted", ("pane",))
     return tmp_path
 

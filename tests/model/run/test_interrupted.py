@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 import torch
+from support.builds import tree
 from support.commands import Answer, call
-from support.training import run_bytes
 
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import DamagedError, HyalineError
@@ -84,7 +84,7 @@ def test_a_run_that_is_killed_again_and_again_ends_in_the_same_bytes(
             except Killed:
                 continue
         break
-    assert run_bytes(PARTS) == run_bytes(WHOLE)
+    assert tree(PARTS) == tree(WHOLE)
 
 
 @pytest.mark.parametrize(("flags", "number"), [("", signal.SIGTERM), ("--overwrite", signal.SIGINT)])
@@ -107,7 +107,7 @@ def test_a_signal_leaves_a_checkpoint_from_which_the_same_command_goes_on(
     assert stopped.error == f"error: parts: stopped after step 3 of 6; {way_on} resumes it"
     assert load_state(PARTS / "checkpoint.pt")["step"] == 3
     assert "parts: resuming after step 3 of 6\n" in train(PARTS).err
-    assert run_bytes(PARTS) == run_bytes(WHOLE)
+    assert tree(PARTS) == tree(WHOLE)
 
 
 def test_checkpoints_by_the_clock_change_no_byte(train: Train, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -118,7 +118,7 @@ def test_checkpoints_by_the_clock_change_no_byte(train: Train, monkeypatch: pyte
     monkeypatch.setattr(train_module, "CHECKPOINT_EVERY_S", 0.0)
     assert train(PARTS).status == 0
     assert saved == [1, 2, 3, 4, 5]
-    assert run_bytes(PARTS) == run_bytes(WHOLE)
+    assert tree(PARTS) == tree(WHOLE)
 
 
 @pytest.fixture(scope="module")
@@ -162,7 +162,7 @@ def test_a_damaged_checkpoint_ends_the_command_with_the_way_on_and_is_kept(
     assert refused.status == 1 and re.search(r"checkpoint\.pt: damaged, .*; start over with --overwrite", refused.err)
     assert path.read_bytes() == broken
     assert train(PARTS, "--overwrite").status == train(WHOLE).status == 0
-    assert run_bytes(PARTS) == run_bytes(WHOLE)
+    assert tree(PARTS) == tree(WHOLE)
 
 
 # Signals

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from support.builds import tree
 from support.commands import call
 from support.synthetic import write_synthetic_dataset
-from support.training import SMALL, load, quick, run_bytes
+from support.training import SMALL, load, quick
 
 from datagen.data.dataset import Dataset
 from datagen.data.images import read_png
@@ -37,7 +38,7 @@ def test_each_evaluation_leaves_the_scored_pixels_above_their_prediction_and_a_n
     out = tmp_path / "run"
     with holding(out, FOLDER):  # As the command does: it clears what killed writers left.
         train(CONFIG, dataset, out, label="run", device=CPU)
-    assert sorted(path for path in run_bytes(out) if path.endswith(".png")) == SNAPSHOTS
+    assert sorted(path for path in tree(out) if path.endswith(".png")) == SNAPSHOTS
     last = read_png(out / SNAPSHOTS[-1])
     view = dataset.view("train", 4)  # Of eight views the middle one is held out.
     assert last.shape == (2 * 8 + GAP, 8, 3)
@@ -52,7 +53,7 @@ def test_each_evaluation_leaves_the_scored_pixels_above_their_prediction_and_a_n
         (out / path).parent.mkdir(parents=True, exist_ok=True)
         (out / path).write_bytes(b"mine")
     begin_run(out, dataclasses.replace(read_run(out), seed=1), overwrite=True)
-    assert sorted(run_bytes(out)) == sorted([*foreign, "run.json"])
+    assert sorted(tree(out)) == sorted([*foreign, "run.json"])
 
 
 def test_costs_are_summed_over_the_sessions_of_a_run_and_change_no_other_byte(dataset: Dataset, tmp_path: Path) -> None:
@@ -60,7 +61,7 @@ def test_costs_are_summed_over_the_sessions_of_a_run_and_change_no_other_byte(da
 
     def trained(*flags: str) -> dict[str, bytes]:
         assert call(" ".join(["model", *quick(dataset, out), "--device", "cpu", *flags])).status == 0
-        return run_bytes(out)
+        return tree(out)
 
     plain = trained()
     measured = trained("--costs", "--overwrite")

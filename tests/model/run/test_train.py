@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from support.builds import tree
 from support.commands import Answer, call
 from support.synthetic import write_synthetic_dataset
-from support.training import SMALL, quick, run_bytes
+from support.training import SMALL, quick
 
 from datagen.data.dataset import Dataset
 from datagen.data.images import read_png
@@ -119,7 +120,7 @@ def test_the_command_trains_skips_refuses_and_renders_again(dataset: Dataset, tm
     out = tmp_path / "run"
     answer = quickly(dataset, out)
     assert (answer.status, answer.out, answer.error) == (0, f"{out}\n", f"next: eval report {tmp_path.parent}")
-    before = run_bytes(out)
+    before = tree(out)
     assert {"run.json", "weights.pt", "predictions.json", "predictions/extrapolating/0001.png"} <= set(before)
 
     assert "finished before, nothing to do" in quickly(dataset, out).err
@@ -133,13 +134,13 @@ def test_the_command_trains_skips_refuses_and_renders_again(dataset: Dataset, tm
 
     (out / "predictions/interpolating/0000.png").write_bytes(b"broken")
     assert call(f"model predict {out}").status == 0
-    assert run_bytes(out) == before
+    assert tree(out) == before
     (out / "predictions/interpolating/0000.png").write_bytes(b"broken")
     assert "run: is trained; continuing with its predictions" in quickly(dataset, out).err
-    assert run_bytes(out) == before
+    assert tree(out) == before
 
     assert quickly(dataset, out, "--overwrite").status == 0
-    assert run_bytes(out) == before  # Same command, same bytes.
+    assert tree(out) == before  # Same command, same bytes.
 
 
 @pytest.mark.parametrize(

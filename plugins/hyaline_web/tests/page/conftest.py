@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 import pytest
 from support.browser import require_browser
 
-from benchmarks.browser import Watched, open_file, running_browser, watched_page
+from benchmarks.browser import Watched, running_browser
 from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
 from datagen.machine.mitsuba_variant import use_mitsuba
 
 use_mitsuba()  # What traces light paths can be imported only when Mitsuba has its variant.
 
-from support.web_scenes import STILL, every_surface, noisy_light_path, write_scene  # noqa: E402
+from support.web_scenes import STILL, every_surface, noisy_light_path, opened_page, write_scene  # noqa: E402
 
 from hyaline_web.page.export import scene_page  # noqa: E402
 from model.methods.light_path.net import LightPathRenderer  # noqa: E402
@@ -54,8 +54,5 @@ def page(
     browser: "Browser", renderer: LightPathRenderer, dataset: Dataset, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Watched]:
     """The page that keeps every number as it is, opened."""
-    file = tmp_path_factory.mktemp("page") / "exact.html"
-    file.write_bytes(scene_page(renderer, renderer.config, dataset, TRUTH, "exact", label="noise", still=STILL))
-    with watched_page(browser) as page:
-        open_file(page, file)
+    with opened_page(browser, tmp_path_factory.mktemp("page"), renderer, dataset) as page:
         yield page

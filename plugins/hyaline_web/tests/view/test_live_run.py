@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from support.training import SMALL, run_bytes, stop_at
+from support.builds import tree
+from support.training import SMALL, stop_at
 
 import hyaline
 from datagen.data.dataset import Dataset
@@ -33,7 +34,7 @@ def test_a_run_is_drawn_from_its_newest_checkpoint_then_from_its_weights_and_not
         stop_at(patch, 6)
         with pytest.raises(KeyboardInterrupt):
             train(CONFIG, dataset, out, label="run", device=CPU)
-    before = run_bytes(out)
+    before = tree(out)
     run = live(out, dataset)
     assert run.draw(camera, is_quick=True) is None
     assert run.status == "no checkpoint yet"
@@ -41,7 +42,7 @@ def test_a_run_is_drawn_from_its_newest_checkpoint_then_from_its_weights_and_not
     assert (run.step, run.is_trained) == (4, False)
     assert run.status == "step 4 of 8"
     early = run.draw(camera, is_quick=False)
-    assert run_bytes(out) == before
+    assert tree(out) == before
 
     train(CONFIG, dataset, out, label="run", device=CPU)
     assert np.array_equal(run.draw(camera, is_quick=False), early), "until somebody looks again"
