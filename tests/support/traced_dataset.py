@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 from support.meshes import box
-from support.synthetic import pixel_rays
+from support.synthetic import pixel_rays, synthetic_scene
 
 from datagen.data.cameras import Cameras, look_at, with_depth_range
 from datagen.data.config import SPLITS, DatasetConfig, DatasetObject, Resolution, Split, SplitConfig, square
@@ -17,7 +17,7 @@ from datagen.data.paths import TRUTH, layers_root
 from datagen.data.writing import commit_view, write_head
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.atlas import faces_apart
-from datagen.scene.description import CameraRig, Scene, SceneObject, SoftEnvironment, WalkPoint
+from datagen.scene.description import Scene, SceneObject
 from datagen.scene.folder import scene_files
 from datagen.scene.materials import Dielectric, Diffuse, Plastic, SolidTexture, ThinDielectric
 from datagen.scene.modelling import ball, moved, rounded_box, sheet
@@ -31,7 +31,6 @@ SLAB = (0.45, 0.55)
 
 def glass_scene() -> Scene:
     """A ball, a slab and a thin pane of glass, and a glossy cube, above a floor with a pattern, under a grey sky."""
-    grey = (0.5, 0.5, 0.5)
     pattern = SolidTexture(pattern="stripes", colors=((0.8, 0.2, 0.1), (0.1, 0.2, 0.8)), scale=0.5)
     low, high = SLAB
     things = {
@@ -47,17 +46,9 @@ def glass_scene() -> Scene:
     objects = tuple(
         SceneObject(name=name, mesh=faces_apart(mesh), material=material) for name, (mesh, material) in things.items()
     )
-    return Scene(
-        name="glasses",
-        objects=objects,
-        environment=SoftEnvironment(zenith=grey, horizon=grey, ground=grey),
-        cameras=CameraRig(
-            target=(0, 0, 0.3),
-            radius=3,
-            elevation_deg=(20, 80),
-            walk=(WalkPoint(position=(2, 0, 2), target=(0, 0, 0)), WalkPoint(position=(0, 2, 1), target=(0, 0, 0))),
-        ),
-    )
+    scene = synthetic_scene()
+    cameras = dataclasses.replace(scene.cameras, target=(0, 0, 0.3), elevation_deg=(20, 80))
+    return dataclasses.replace(scene, name="glasses", objects=objects, cameras=cameras)
 
 
 def write_traced_dataset(root: Path, *, scene: Scene | None = None, resolution: int | Resolution = 48) -> Dataset:

@@ -16,7 +16,7 @@ from datagen.data.config import DatasetConfig, square
 from datagen.data.dataset import Dataset
 from datagen.data.transforms import TRANSFORMS_FILES
 from datagen.disk.errors import HyalineError
-from datagen.scene.description import CameraList, CameraRig, WalkPoint
+from datagen.scene.description import CameraList
 from datagen.scene.folder import _SceneFile, load_scene, save_scene, scene_files
 from datagen.scene.rig import _orbit, make_cameras, make_path, with_listed_views
 
@@ -104,12 +104,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return write_synthetic_dataset(tmp_path_factory.mktemp("path") / "data")
 
 
-RIG = CameraRig(
-    target=(0.1, 0.2, 0.3),
-    radius=2.0,
-    elevation_deg=(20.0, 40.0),
-    walk=(WalkPoint(position=(2, 0, 1), target=(0, 0, 0)), WalkPoint(position=(0, 2, 1), target=(0, 0, 0))),
-)
+RIG = dataclasses.replace(synthetic_scene().cameras, target=(0.1, 0.2, 0.3), radius=2.0, elevation_deg=(20.0, 40.0))
 
 
 @pytest.mark.parametrize("azimuth", [(0.0, 360.0), (-60.0, 60.0)])

@@ -12,7 +12,7 @@ from datagen.data.config import DatasetConfig, square
 from datagen.data.meshes import Mesh
 from datagen.data.queries import windings
 from datagen.disk.errors import HyalineError
-from datagen.scene.description import CameraRig, Scene, SceneObject, WalkPoint
+from datagen.scene.description import Scene, SceneObject, WalkPoint
 from datagen.scene.materials import Dielectric, Diffuse, Material, ThinDielectric
 from datagen.scene.modelling import ball, lathe, merged, moved, rounded_box, sheet, transformed, tube, walled
 from datagen.scene.rig import cameras_within, make_cameras
@@ -20,12 +20,8 @@ from datagen.scene.soundness import check_glass_is_seen, check_scene
 
 GLASS, GREY, PANE = Dielectric(), Diffuse(color=(0.5, 0.5, 0.5)), ThinDielectric()
 BALL = ball(0.2, subdivisions=3)
-RIG = CameraRig(
-    target=(0, 0, 0.3),
-    radius=2.0,
-    elevation_deg=(10, 70),
-    walk=(WalkPoint(position=(1.5, 0, 1), target=(0, 0, 0)), WalkPoint(position=(0, 0.8, 0.5), target=(0, 0, 0))),
-)
+WALK = (WalkPoint(position=(1.5, 0, 1), target=(0, 0, 0)), WalkPoint(position=(0, 0.8, 0.5), target=(0, 0, 0)))
+RIG = dataclasses.replace(synthetic_scene().cameras, target=(0, 0, 0.3), radius=2.0, elevation_deg=(10, 70), walk=WALK)
 
 
 def scene_of(mesh: Mesh, material: Material = GLASS, **others: tuple[Mesh, Material]) -> Scene:
