@@ -11,6 +11,7 @@ import pytest
 import torch
 from support.builds import tree
 from support.commands import Answer, call
+from support.disk import Change, watch
 
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import DamagedError, HyalineError
@@ -46,43 +47,25 @@ class Killed(BaseException):
     """The process is gone: nothing that it would have done comes to pass."""
 
 
-WRITES = ("os.fsync", "os.replace", "os.unlink", "os.rmdir", "os.rename", "os.mkdir")
-"""Whatever changes a run's folder ends in one of these; `pathlib` and `shutil` call them, too."""
+def dying_at(number: int) -> Callable[[Change], None]:
+    """Kills at a change of the disk, counted from 0, and at whatever would clean up after it."""
+    left = iter(range(number))
+
+    def before(change: Change) -> None:
+        if next(left, None) is None:
+            raise Killed
+
+    return before
 
 
-def at_each_write(monkeypatch: pytest.MonkeyPatch, act: Callable[[int], None]) -> None:
-    """Calls `act` with the number of each write, before it happens."""
-    count = 0
-
-    def watched(original: Callable[..., object]) -> Callable[..., object]:
-        def write(*arguments: object, **named: object) -> object:
-            nonlocal count
-            act(count)
-            count += 1
-            return original(*arguments, **named)
-
-        return write
-
-    for name in WRITES:
-        monkeypatch.setattr(name, watched(getattr(os, name.removeprefix("os."))))
-
-
-def test_a_run_that_is_killed_again_and_again_ends_in_the_same_bytes(
-    train: Train, monkeypatch: pytest.MonkeyPatch, is_full: bool
-) -> None:
+def test_a_run_that_is_killed_again_and_again_ends_in_the_same_bytes(train: Train, is_full: bool) -> None:
     assert train(WHOLE).status == 0
-    for least in range(2, 200, 3 if is_full else 15):
-        with monkeypatch.context() as patch:
-
-            def die(number: int, last: int = least) -> None:
-                if number >= last:
-                    raise Killed
-
-            at_each_write(patch, die)
-            try:
+    for number in range(2, 200, 2 if is_full else 9):
+        try:
+            with watch(PARTS, dying_at(number)):
                 assert train(PARTS).status == 0
-            except Killed:
-                continue
+        except Killed:
+            continue
         break
     assert tree(PARTS) == tree(WHOLE)
 
