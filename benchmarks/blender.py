@@ -76,14 +76,11 @@ class Compared:
         return self.ours.mean(axis=(0, 1)) / np.maximum(self.cycles.mean(axis=(0, 1)), 1e-9)
 
 
-def compare_with_cycles(
-    file: Path, choices: ImportChoices, *, python: Path, view: int, size: Resolution, spp: int
-) -> Compared:
+def compare_with_cycles(file: Path, choices: ImportChoices, *, python: Path, size: Resolution, spp: int) -> Compared:
     """Renders a file with both; each picture is the mean of two halves, whose difference measures the noise.
 
     Args:
         python: interpreter of an environment with bpy.
-        view: which camera of those all around.
     """
     if file.suffix.lower() not in READ_BY_BLENDER:
         raise HyalineError(f"{file}: Blender reads {', '.join(READ_BY_BLENDER)} of what hyaline imports")
@@ -92,7 +89,7 @@ def compare_with_cycles(
     cameras = make_cameras(imported.scene.cameras, config)["interpolating"]
     say(f"{file.name}: rendering with hyaline")
     truth = render_view(
-        Renderer(imported.scene, max_depth=MAX_DEPTH), cameras, view, spp=spp, view_seed=1, ceiling_db=None
+        Renderer(imported.scene, max_depth=MAX_DEPTH), cameras, 0, spp=spp, view_seed=1, ceiling_db=None
     )
     say(f"{file.name}: rendering with Cycles")
     ours = [item for item in imported.scene.objects if not _is_added_ground(item)]
@@ -100,7 +97,7 @@ def compare_with_cycles(
     points = np.concatenate([item.mesh.vertices for item in ours]).astype(np.float64)
     low, high = points.min(axis=0), points.max(axis=0)
     told = _file_to_import(file, imported, low, high)
-    drawn = draw_by_cycles(imported.scene, added, [cameras[view]], python, where=file, spp=spp, file=told)
+    drawn = draw_by_cycles(imported.scene, added, [cameras[0]], python, where=file, spp=spp, file=told)
     (halves,) = drawn.halves
     noise = np.mean((srgb_from_linear(halves[0]) - srgb_from_linear(halves[1])) ** 2) / 4
     return Compared(

@@ -21,8 +21,6 @@ class BenchChoices:
     """Width and height of a texture in texels."""
     features: int = 16
     """Channels of a texture."""
-    width: str = "34k"
-    """Hidden units of the first layer: 34k (as many as make 34,000 parameters), 256, or any number."""
     rounds: int = 7
     """Rounds of every candidate, without warm-up."""
 

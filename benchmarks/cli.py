@@ -89,7 +89,6 @@ def cycles(
     *,
     python: Path = Path(sys.executable),
     out: Path = Path("cycles"),
-    view: int = 0,
     size: str = "192x144",
     spp: int = 1024,
     overwrite: bool = False,
@@ -104,7 +103,6 @@ def cycles(
         files: glTF, GLB, OBJ, PLY or STL.
         python: Python interpreter of an environment with bpy; it needs no hyaline.
         out: Folder for NAME.png of each file; files that stand there are kept.
-        view: Which of eight cameras around the scene.
         size: Of the pictures in pixels, such as 192x144.
         spp: Samples per pixel of each picture; Cycles does not denoise.
         overwrite: Replace pictures that stand in --out.
@@ -126,7 +124,7 @@ def cycles(
     rows: dict[str, Compared | str] = {}
     for file, picture in pictures.items():
         try:
-            found = compare_with_cycles(file, choices, python=python, view=view, size=parse_resolution(size), spp=spp)
+            found = compare_with_cycles(file, choices, python=python, size=parse_resolution(size), spp=spp)
         except HyalineError as error:
             if len(files) == 1:
                 raise
@@ -160,7 +158,6 @@ def gpu(choices: BenchChoices) -> None:
 
 def turntable(
     runs: tuple[Path, ...],
-    names: tuple[str, ...] = (),
     out: Path = Path("turntable.webp"),
     path: str = "orbit",
     frames: int = 48,
@@ -173,7 +170,6 @@ def turntable(
 
     Args:
         runs: Folders of trained runs.
-        names: Captions, instead of the folders' names.
         out: The film, of any kind that `datagen film` writes.
         path: orbit or spline.
         frames: Pictures in the film.
@@ -185,7 +181,7 @@ def turntable(
     from benchmarks.turntable import draw_turntable
     from datagen.terminal.command import tell
 
-    draw_turntable(runs, names, out, path=path, frames=frames, size=size, spp=spp, fps=fps, overwrite=overwrite)
+    draw_turntable(runs, out, path=path, frames=frames, size=size, spp=spp, fps=fps, overwrite=overwrite)
     tell(str(out))
 
 

@@ -15,7 +15,6 @@ from torch.nn import functional
 from benchmarks.choices import BenchChoices
 from datagen.data.cameras import Cameras
 from datagen.data.layers import UV_SCALE
-from datagen.disk.errors import HyalineError
 from model.batches.layers import Pixels
 from model.batches.rays import RayBatch
 from model.methods.paper.config import PaperConfig
@@ -101,10 +100,8 @@ def made_up_batch(choices: BenchChoices, *, rng: np.random.Generator) -> tuple[R
 def make_renderer(choices: BenchChoices, *, rng: np.random.Generator) -> PaperRenderer:
     """The product's renderer, without the camera as an input; textures and batch norm as if it had been trained."""
     inputs = count_inputs(choices.layers, texture_features=choices.features, extrinsics="none", zero_layer=False)
-    if choices.width != "34k" and not choices.width.isdecimal():
-        raise HyalineError(f"width: is {choices.width!r}; expected 34k, 256 or another number of hidden units")
     config = PaperConfig(
-        width=width_for_34k(inputs) if choices.width == "34k" else int(choices.width),
+        width=width_for_34k(inputs),
         texture_size=choices.texture_size,
         texture_features=choices.features,
         extrinsics="none",

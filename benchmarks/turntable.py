@@ -23,7 +23,6 @@ GAP = 4
 
 def draw_turntable(
     runs: tuple[Path, ...],
-    names: tuple[str, ...],
     out: Path,
     *,
     path: str,
@@ -36,12 +35,10 @@ def draw_turntable(
     """Write the film.
 
     Args:
-        names: of the runs, under their pictures, instead of their folders' names.
         size: width in pixels of each of the pictures.
     """
-    names = names or tuple(folder.name for folder in runs)
-    if not runs or len(names) != len(runs):
-        raise HyalineError(f"names: are {', '.join(names)} for {len(runs)} runs; expected one for each run")
+    if not runs:
+        raise HyalineError("runs: none are given; expected one or more")
     check_film(out, fps, overwrite=overwrite)
     dataset = open_dataset(Path(read_run(runs[0]).dataset))
     cameras = make_path(dataset, path, frames, width=size, height=None)
@@ -50,7 +47,7 @@ def draw_turntable(
         config = read_run(folder).config
         check_trained_on(folder, config, dataset)
         columns.append(list(film_pictures(folder, config, dataset, cameras, device=torch.device("cpu"))))
-    pages = _side_by_side(columns, ("truth, path-traced", *names))
+    pages = _side_by_side(columns, ("truth, path-traced", *(folder.name for folder in runs)))
     write_film(out, pages, fps)
 
 
