@@ -51,8 +51,7 @@ def mesh_from(
 
 def no_mesh() -> Mesh:
     """A mesh without faces: that of an object removed from its scene, whose id stays unused."""
-    pairs, triples = np.zeros((0, 2), np.float32), np.zeros((0, 3), np.float32)
-    return Mesh(vertices=triples, faces=np.zeros((0, 3), np.int32), normals=triples, uv=pairs)
+    return mesh_from(np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 3)))
 
 
 def is_there(mesh: Mesh) -> bool:
