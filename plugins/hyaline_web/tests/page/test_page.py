@@ -129,7 +129,7 @@ def test_the_page_follows_light_through_a_thin_plate_as_the_closed_form_says(
 
 def test_a_page_asks_for_nothing_and_complains_of_nothing(page: Watched) -> None:
     page.picture(VIEW, SHAPE, 1)
-    assert [address.partition("?")[0].rpartition("/")[2] for address in page.requests] == ["exact.html"]
+    assert [address.partition("?")[0].rpartition("/")[2] for address in page.requests] == ["page.html"]
     assert page.complaints == []
     blocked = page.page.evaluate("async () => { try { await fetch('data:,x'); } catch (error) { return 'refused'; } }")
     assert blocked == "refused"
