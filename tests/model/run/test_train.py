@@ -147,7 +147,7 @@ def test_the_command_trains_skips_refuses_and_renders_again(dataset: Dataset, tm
     ("changes", "message"),
     [
         (("--geometry", "truht"), "no geometry 'truht'; did you mean 'truth'"),
-        (("--geometry", "box"), "no box proxies; make them with `proxies make`"),
+        (("--geometry", "box"), "no box proxies; make them with `proxies make --kind box`"),
         (("--hidden", "9"), "hidden: is 9 with 3 blocks; expected a multiple of 8"),
         (("--dataset", "no/where"), "no/where: no dataset; make one with `datagen build"),
     ],
