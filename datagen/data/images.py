@@ -67,8 +67,8 @@ def decode_png(data: bytes, *, where: str, size: Resolution | None = None) -> Im
 
 def mask_pixels(picture: Image.Image) -> Bool[np.ndarray, "h w"]:
     """Pixels that a mask shows: opaque ones if some are transparent, otherwise those that are bright in any channel."""
-    if picture.mode.startswith("I"):  # Grey of 16 bits, which Pillow would clip, not scale.
-        return np.asarray(picture) > 0x7FFF
+    if picture.mode.startswith("I"):  # Grey of 16 bits, which Pillow would clip, not scale; some have values of 8.
+        return (grey := np.asarray(picture)) > grey.max() // 2
     if picture.has_transparency_data and (alpha := np.asarray(picture.convert("RGBA"))[..., 3]).min() < 128:
         return alpha > 127
     brightest = np.asarray(picture.convert("RGB")).max(axis=-1)

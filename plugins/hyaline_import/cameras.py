@@ -162,6 +162,8 @@ def _read_text(cameras: Path, images: Path) -> tuple[dict[int, ColmapCamera], li
             raise ValueError(f"{len(values)} numbers of a {model}")
         lenses[int(camera)] = ColmapCamera(width=int(width), height=int(height), model=model, values=values)
     lines = _lines(images)
+    if any(len(points.split()) % 3 for points in lines[1::2]):
+        raise ValueError("an image is not followed by a line of its points")
     for line in filter(str.strip, lines[::2]):  # The second line of each image lists its points.
         *numbers, name = line.split(maxsplit=9)  # A name may contain spaces.
         listed.append((name.rstrip(), int(numbers[8]), tuple(map(float, numbers[1:8]))))

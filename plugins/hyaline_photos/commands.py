@@ -38,8 +38,8 @@ class CaptureChoices:
         """The object of `diameter` (None if unnamed), and its metres."""
         from datagen.scene.description import OBJECT_NAME  # Not before: help needs no NumPy.
 
-        match = re.fullmatch(rf"(?:({OBJECT_NAME})=)?(\d*\.?\d+)(mm|cm|m|)", self.diameter or "")
-        metres = float(match[2]) * {"mm": 1e-3, "cm": 1e-2}.get(match[3], 1.0) if match else 0.0
+        match = re.fullmatch(rf"(?:({OBJECT_NAME})=)?(\d*\.?\d+)(mm|cm|m)", self.diameter or "")
+        metres = float(match[2]) * {"mm": 1e-3, "cm": 1e-2, "m": 1.0}[match[3]] if match else 0.0
         if match is None or not 0 < metres < 100:
             raise HyalineError(f"--diameter: is {self.diameter!r}; expected an object and its size, as in tumbler=82mm")
         return match[1], metres

@@ -144,27 +144,27 @@ def find_named(root: Path, frame: Frame, key: str) -> Path:
 
 
 def picture_size(path: Path) -> tuple[int, int]:
-    """Width and height of a picture, by its header.
-
-    Raises:
-        HyalineError: it is stored on its side: tools differ on whether they turn it before they find cameras.
-    """
+    """Width and height of a picture, by its header."""
     with header(path) as picture:
-        turn = picture.getexif().get(ExifTags.Base.Orientation, UPRIGHT)
-        if turn not in (UNKNOWN, UPRIGHT):
-            raise HyalineError(
-                f"{path}: is stored turned or mirrored (EXIF orientation {turn}), which some tools undo and others do "
-                "not; turn the pixels (`mogrify -auto-orient`) before masks and cameras are made, or, if these fit the "
-                "stored pixels, delete the tag (`exiftool -Orientation=`)"
-            )
         return picture.size
 
 
 @contextmanager
 def header(path: Path) -> Iterator[Image.Image]:
-    """The picture of a file, not decoded."""
+    """The picture or mask of a file, not decoded.
+
+    Raises:
+        HyalineError: it is stored on its side: tools differ on whether they turn it before they find cameras.
+    """
     try:
         with open_regular(path) as file, Image.open(file, formats=FORMATS) as picture:
+            turn = picture.getexif().get(ExifTags.Base.Orientation, UPRIGHT)
+            if turn not in (UNKNOWN, UPRIGHT):
+                raise HyalineError(
+                    f"{path}: is stored turned or mirrored (EXIF orientation {turn}), which some tools undo and others "
+                    "do not; turn the pixels (`mogrify -auto-orient`) before masks and cameras are made, or, if these "
+                    "fit the stored pixels, delete the tag (`exiftool -Orientation=`)"
+                )
             yield picture
     except HyalineError:
         raise

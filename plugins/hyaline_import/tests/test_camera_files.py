@@ -64,6 +64,7 @@ def write_text(root: Path, cameras: str, images: str) -> Path:
         (CAMERA, "1 0 0 0 0 0 0 5 1 a.png\n\n", "a rotation of length 0"),
         (CAMERA, "1 1 0 0 0 0 0 5 7 a.png\n\n", "was taken by camera 7; expected one that cameras.txt has"),
         (CAMERA, "1 1 0 0\n\n", "its cameras or images are damaged"),
+        (CAMERA, IMAGE.strip() + "\n" + IMAGE, "an image is not followed by a line of its points"),
         (CAMERA, "", "has 0 images; expected 1 to 10,000"),
         (CAMERA, "# a comment\n", "has 0 images"),
     ],

@@ -40,7 +40,7 @@ class Exposures:
     """Of the logarithm, from the middle to the corners."""
 
     def in_words(self) -> str:
-        if not self.gains.any():
+        if not (self.gains.any() or self.falloff):
             return f"exposure: pictures differ by less than {EQUAL:.1%}; they were left as they are"
         brightness, balance = self.gains.mean(axis=1), self.gains - self.gains.mean(axis=1, keepdims=True)
         low, high = np.exp([brightness.min(), brightness.max()])
@@ -52,7 +52,7 @@ class Exposures:
 
     def corrected(self, picture: UInt8[np.ndarray, "h w 3"], view: int) -> UInt8[np.ndarray, "h w 3"]:
         """A picture as if it had the mean exposure, and no falloff."""
-        if not self.gains.any():
+        if not (self.gains.any() or self.falloff):
             return picture
         height, width = picture.shape[:2]
         log = self.gains[view] + self.falloff * _radii(width, height)[..., None]
@@ -101,8 +101,8 @@ def find_exposures(
         left = left[train] - gains[train, None]
         bend = np.broadcast_to(squares[train], left.shape)[inside := np.abs(left) < OUTLIER]
         falloff += float(np.cov(bend, left[inside])[0, 1] / bend.var())
-    is_equal = _spread(gains[train]) < EQUAL and abs(falloff) < EQUAL
-    return Exposures(gains=np.zeros_like(gains) if is_equal else gains, falloff=0.0 if is_equal else falloff)
+    gains *= _spread(gains[train]) >= EQUAL
+    return Exposures(gains=gains, falloff=falloff * (abs(falloff) >= EQUAL))
 
 
 def _spread(gains: Float[np.ndarray, "*gain"]) -> float:

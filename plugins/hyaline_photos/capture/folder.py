@@ -94,10 +94,11 @@ def read_capture(root: Path) -> Folder:
     if files := transforms_in(root):
         return _with_transforms(root, files)
     pictures = find_pictures(root)
+    tests = tests_among(pictures)
     objects, masks, remarks = find_masks(root, pictures)
     if not has_colmap(root):
-        find_cameras(root, masks)
-    return _with_colmap(root, pictures, objects, masks, remarks)
+        find_cameras(root, masks, tests)
+    return _with_colmap(root, pictures, tests, objects, masks, remarks)
 
 
 def find_pictures(root: Path) -> list[Path]:
@@ -138,21 +139,18 @@ def find_masks(root: Path, pictures: Sequence[Path]) -> tuple[tuple[str, ...], M
     found: Masks = dict.fromkeys(pictures, ())
     for one in folders:
         listed = {path.relative_to(one).with_suffix("").as_posix(): path for path in _pictures_below(one)}
-        lacking = []
         for picture in found:
             name = name_of(root, picture)
             path = listed.get(Path(name).with_suffix("").as_posix(), listed.get(name))
-            if path is None:
-                lacking.append(name)
-            else:
+            if path is not None:
                 check_regular(path, root, where=str(root))
                 found[picture] += (path,)
-        if len(lacking) > MAX_LACKING * len(found):
-            raise HyalineError(
-                f"{one}: has no mask for {len(lacking)} of {len(found)} pictures ({', '.join(lacking[:NAMED])}); "
-                "expected one for each, black where the object is not seen"
-            )
     lost = [name_of(root, picture) for picture, masks in found.items() if len(masks) < len(folders)]
+    if len(lost) > MAX_LACKING * len(found):
+        raise HyalineError(
+            f"{folder}: lacks masks of {len(lost)} of {len(found)} pictures ({', '.join(lost[:NAMED])}); expected one "
+            "for each picture and object, black where the object is not seen"
+        )
     whole = {picture: masks for picture, masks in found.items() if len(masks) == len(folders)}
     return tuple(unique_names([path.name for path in folders])), whole, _left_out("masks", lost, len(pictures))
 
@@ -221,10 +219,9 @@ def _with_transforms(root: Path, found: dict[Role, Transforms]) -> Folder:
 
 
 def _with_colmap(
-    root: Path, pictures: list[Path], objects: tuple[str, ...], masks: Masks, remarks: list[str]
+    root: Path, pictures: list[Path], tests: set[Path], objects: tuple[str, ...], masks: Masks, remarks: list[str]
 ) -> Folder:
-    listed, tests = colmap_images(root), tests_among(pictures)
-    shots, lost = [], []
+    listed, shots, lost = colmap_images(root), [], []
     for picture in masks:
         name = name_of(root, picture)
         if name not in listed:
@@ -271,21 +268,21 @@ MODEL = "SIMPLE_RADIAL"
 """COLMAP's model of the lens."""
 
 
-def find_cameras(root: Path, masks: Masks) -> None:
+def find_cameras(root: Path, masks: Masks, tests: set[Path]) -> None:
     """Writes a model with the cameras of pictures to FOLDER/colmap/sparse/0, where the next run finds them.
 
     The lens, the points and the cameras of training pictures come from these alone; those of test pictures follow.
     """
     colmap = _colmap(f"{root}: has no cameras (transforms.json, or COLMAP's sparse/0)")
     pictures = list(masks)
-    tests = {f"{place:05d}.png" for place, path in enumerate(pictures) if path in tests_among(pictures)}
+    held_out = {f"{place:05d}.png" for place, path in enumerate(pictures) if path in tests}
     say(f"{root}: has no cameras; finding them in {len(pictures)} pictures, which takes minutes")
     with tempfile.TemporaryDirectory(prefix="hyaline-capture-") as scratch:
         folder = Path(scratch)
         times = _write_pictures(folder, masks)
         database = _matched(colmap, folder)
         options = colmap.IncrementalPipelineOptions()
-        options.image_names = sorted({path.name for path in (folder / "images").iterdir()} - tests)
+        options.image_names = sorted({path.name for path in (folder / "images").iterdir()} - held_out)
         options.min_model_size = 3
         # Small pictures have few features.
         options.mapper.init_min_num_inliers, options.mapper.abs_pose_min_num_inliers = 50, 15
@@ -296,7 +293,7 @@ def find_cameras(root: Path, masks: Masks) -> None:
             for image in list(found.images.values()):
                 if image.num_points3D < LEAST_SEEN:
                     found.deregister_frame(image.frame_id)
-            _place_others(colmap, found, database, tests)
+            _place_others(colmap, found, database, held_out)
             for image in found.images.values():
                 image.name = name_of(root, pictures[int(Path(image.name).stem)])
         count = found.num_reg_images() if found else 0
@@ -368,15 +365,14 @@ def _matched(colmap: ModuleType, folder: Path) -> Path:
     reader.camera_model, reader.mask_path = MODEL, folder / "masks"
     features = colmap.FeatureExtractionOptions()
     features.sift.max_num_features = MOST_FEATURES
-    sizes = {picture_size(path) for path in (folder / "images").iterdir()}
-    options = {
-        "camera_mode": colmap.CameraMode.SINGLE if len(sizes) == 1 else colmap.CameraMode.AUTO,
-        "reader_options": reader,
-        "extraction_options": features,
-        "device": colmap.Device.cpu,
-    }
+    options = {"reader_options": reader, "extraction_options": features, "device": colmap.Device.cpu}
+    by_size: dict[tuple[int, int], list[str]] = {}
+    for path in sorted((folder / "images").iterdir()):
+        by_size.setdefault(picture_size(path), []).append(path.name)
     with waiting("features of all pictures"):
-        colmap.extract_features(database, folder / "images", **options)
+        for names in by_size.values():  # Pictures of one size have one lens.
+            single = {"image_names": names, "camera_mode": colmap.CameraMode.SINGLE}
+            colmap.extract_features(database, folder / "images", **single, **options)
     with waiting("matches of all pairs of pictures"):
         colmap.match_exhaustive(database, device=colmap.Device.cpu)
     return database

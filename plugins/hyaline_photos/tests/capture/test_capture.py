@@ -26,7 +26,16 @@ from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.scene.folder import open_scene
 from datagen.scene.rig import towards
-from hyaline_photos.capture.folder import _place_others, find_masks, read_mask
+from hyaline_photos.capture.folder import (
+    EVERY,
+    Masks,
+    _matched,
+    _place_others,
+    find_masks,
+    find_pictures,
+    read_capture,
+    read_mask,
+)
 from hyaline_photos.capture.lenses import TakenLens, redrawn, redrawn_mask, shared_lens
 from hyaline_photos.capture.planes import find_up
 from hyaline_photos.capture.room import Outline, fit_room
@@ -126,13 +135,17 @@ def captured(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 # Masks
 
 
-@pytest.mark.parametrize("kind", ["1", "L", "I;16", "LA", "RGB", "red", "palette", "cut out", "on nothing", "0 or 1"])
+MASKS = ("1", "L", "I;16", "LA", "RGB", "red", "palette", "cut out", "on nothing", "0 or 1", "0 or 255 of 16 bits")
+
+
+@pytest.mark.parametrize("kind", MASKS)
 def test_masks_of_all_kinds_show_the_same(kind: str) -> None:
     shown = np.random.default_rng(0).random((9, 7)) < 0.5
     grey = np.where(shown, 255, 0).astype(np.uint8)
     zero, full = np.zeros_like(grey), np.full_like(grey, 255)
     pictures = {
         "I;16": Image.fromarray(np.where(shown, 0xFFFF, 1000).astype(np.uint16)),
+        "0 or 255 of 16 bits": Image.fromarray(grey.astype(np.uint16)),
         "red": Image.fromarray(np.stack([grey, zero, zero], axis=-1)),
         "palette": Image.fromarray(shown.astype(np.uint8)).convert("P"),
         "cut out": Image.fromarray(np.stack([zero, zero, zero, grey], axis=-1)),
@@ -264,7 +277,7 @@ def test_a_picture_without_a_mask_is_left_out(own: Path, tmp_path: Path) -> None
     assert open_dataset(tmp_path / "out").num_views["train"] == 14
 
 
-@pytest.mark.parametrize("given", ["ball=0.082", "ball=82mm", "ball=8.2cm"])
+@pytest.mark.parametrize("given", ["ball=0.082m", "ball=82mm", "ball=8.2cm"])
 def test_a_diameter_has_a_unit(given: str) -> None:
     assert CaptureChoices(diameter=given).known_diameter() == ("ball", pytest.approx(0.082))
     assert CaptureChoices(diameter=given[5:]).known_diameter() == (None, pytest.approx(0.082))
@@ -306,7 +319,7 @@ def test_a_model_of_colmap_is_turned_upright_scaled_by_a_diameter_and_given_a_ro
     every = room_points(np.random.default_rng(1))
     points = np.concatenate([every[:1000], every[1600:1730]])  # A floor, a table, and a box: few voxels.
     write_colmap(tmp_path / "shots", made, points, turned=rotation, scale=3.7)
-    answer = call(f"datagen capture {tmp_path / 'shots'} --diameter ball=0.2 --out {tmp_path / 'out'}")
+    answer = call(f"datagen capture {tmp_path / 'shots'} --diameter ball=0.2m --out {tmp_path / 'out'}")
     assert answer.status == 0, answer.error
     dataset = open_dataset(tmp_path / "out")
     meshes = {item.name: item.mesh.vertices for item in open_scene(dataset).objects}
@@ -458,10 +471,10 @@ def without_pictures(root: Path) -> None:
     ("spoil", "expected"),
     [
         (lambda root: shutil.rmtree(root / "masks"), "masks: has 0 folders"),
-        (without_three_masks, "has no mask for 3 of 18 pictures (DSC 0003 é.png, DSC 0004 é.png, DSC 0005 é.png)"),
+        (without_three_masks, "lacks masks of 3 of 18 pictures (DSC 0003 é.png, DSC 0004 é.png, DSC 0005 é.png)"),
         (lambda root: Image.new("L", (SIDE, SIDE // 2)).save(root / THIRD), "DSC 0003 é.png: is 48 x 24 pixels"),
         (lambda root: (root / THIRD).write_bytes(b"no picture"), "DSC 0003 é.png: not a picture"),
-        (with_masks_of_other_pictures, "masks/ball: has no mask for 18 of 18 pictures"),
+        (with_masks_of_other_pictures, "masks: lacks masks of 18 of 18 pictures"),
         (without_glass, "masks/ball: shows its object in 0 of 15 pictures"),
         (lambda root: redraw_masks(root, lambda _, mask: 255 - mask), "invert them"),
         (lambda root: redraw_masks(root, square_somewhere), "masks/ball: its masks do not meet in space"),
@@ -490,7 +503,8 @@ def test_without_cameras_and_pycolmap_it_says_what_to_install(
 @pytest.mark.parametrize(
     ("flags", "expected"),
     [
-        ("--diameter bottle=0.1", "bottle is not an object; expected one of ball, wine_glass__1_"),
+        ("--diameter bottle=0.1", "expected an object and its size, as in tumbler=82mm"),
+        ("--diameter bottle=10cm", "bottle is not an object; expected one of ball, wine_glass__1_"),
         ("--diameter ball=tall", "expected an object and its size"),
         ("--longest 2", "expected 8 to"),
     ],
@@ -498,6 +512,33 @@ def test_without_cameras_and_pycolmap_it_says_what_to_install(
 def test_a_flag_that_cannot_be_is_refused(flags: str, expected: str, folder: Path, tmp_path: Path) -> None:
     answer = call(f"datagen capture '{folder}' --out {tmp_path / 'out'} {flags}")
     assert answer.status == 1 and expected in answer.error
+
+
+def test_pictures_of_one_size_have_one_lens(tmp_path: Path) -> None:
+    colmap = pytest.importorskip("pycolmap", reason="the extra `capture` is not installed")
+    for name in ("images", "masks"):
+        (tmp_path / name).mkdir()
+    for place, size in enumerate(((96, 64), (64, 96)) * 2):
+        Image.effect_noise(size, 90).save(tmp_path / "images" / f"{place}.png")
+        Image.new("L", size, 255).save(tmp_path / "masks" / f"{place}.png.png")
+    with colmap.Database.open(_matched(colmap, tmp_path)) as opened:
+        lens_of = {image.name: image.camera_id for image in opened.read_all_images()}
+    assert lens_of["0.png"] == lens_of["2.png"] != lens_of["1.png"] == lens_of["3.png"]
+
+
+def test_pictures_without_masks_do_not_change_which_ones_are_held_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_folder(tmp_path, cameras="none")
+    (tmp_path / THIRD.replace("3", "0")).unlink()
+
+    def stop(root: Path, masks: Masks, tests: set[Path]) -> None:
+        assert len(masks) == len(find_pictures(root)) - 1 and tests == set(find_pictures(root)[::EVERY])
+        raise HyalineError("as it should be")
+
+    monkeypatch.setattr("hyaline_photos.capture.folder.find_cameras", stop)
+    with pytest.raises(HyalineError, match="as it should be"):
+        read_capture(tmp_path)
 
 
 def test_a_test_picture_is_placed_before_points_that_training_pictures_show(tmp_path: Path) -> None:

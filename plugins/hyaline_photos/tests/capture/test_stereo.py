@@ -139,7 +139,7 @@ def test_a_thing_is_its_surface_where_depth_maps_show_it(maps: DepthMaps) -> Non
     assert not any(name.startswith("thing") for name in fit_room(np.concatenate([ball, floor]), glass, places).parts)
 
 
-@pytest.mark.parametrize("spread", [0.1, 0.0])
+@pytest.mark.parametrize("spread", [0.2, 0.0])
 def test_exposures_are_found_from_points_that_pictures_share(maps: DepthMaps, spread: float) -> None:
     rng = np.random.default_rng(1)
     gains = spread * rng.standard_normal((VIEWS, 1)) + 0.2 * spread * rng.standard_normal((VIEWS, 3))
@@ -154,7 +154,7 @@ def test_exposures_are_found_from_points_that_pictures_share(maps: DepthMaps, sp
     some = dataclasses.replace(maps.cameras, world_from_camera=maps.cameras.world_from_camera[:-2])
     known = DepthMaps(cameras=some, depth=maps.depth[:-2])
     found = find_exposures(pictures, maps.cameras, known, known.points(0.01))
-    assert found.gains == pytest.approx(gains - gains[:-2].mean(axis=0), abs=0.025)
+    assert found.gains == pytest.approx(gains - gains[:-2].mean(axis=0), abs=0.04)
     assert found.falloff == pytest.approx(-spread, abs=0.03)
     if not spread:
         assert np.array_equal(found.corrected(pictures[0], 0), pictures[0])
