@@ -197,11 +197,6 @@ def _described(item: Object) -> tuple[SceneObject, bool]:
         vertices, faces, uv = source.read_mesh(Path(given))
     elif isinstance(given, tuple):
         (vertices, faces), uv = given, None
-    elif not isinstance(given, Triangles):
-        raise HyalineError(
-            f"{where}: its mesh is a {type(given).__name__}; expected one mesh with vertices and faces (of a "
-            "trimesh.Scene, its to_mesh()), a pair of arrays, or a file"
-        )
     else:
         vertices, faces, uv = given.vertices, given.faces, getattr(getattr(given, "visual", None), "uv", None)
     vertices, faces = _checked(vertices, faces, where=where)

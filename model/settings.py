@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from datagen.data.paths import TRUTH, Geometry
 from datagen.disk.errors import HyalineError
-from datagen.disk.records import Json, from_json
+from datagen.disk.records import Json, from_json, in_python
 from datagen.terminal.parsing import changed_fields
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ def with_settings(record: RecordT, settings: Mapping[str, object]) -> RecordT:
             continue
         name = item.metadata.get("flag", "").replace("-", "_") or item.name
         if name in settings and not item.metadata.get("is_hidden"):
-            changed[item.name] = from_json(kinds[item.name], typing.cast(Json, settings[name]), where=name)
+            changed[item.name] = from_json(kinds[item.name], typing.cast(Json, in_python(settings[name])), where=name)
     return dataclasses.replace(record, **changed)
 
 

@@ -75,7 +75,6 @@ class Plan:
 
 def plan_angles(base: Dataset) -> Plan:
     """The splits by angle (datagen/builder/angles.py), each of as many views as `extrapolating` has."""
-    _check_base(base)
     scene = open_scene(base)
     cameras = cameras_within(scene, make_angle_cameras(scene, base.config))
     return Plan(name=ANGLES, config=base.config, cameras=cameras, objects=base.objects)
@@ -87,7 +86,6 @@ def plan_larger(base: Dataset, scale: int, *, views: int | None = None) -> Plan:
     Args:
         views: number of views of each split, chosen evenly; None: all.
     """
-    _check_base(base)
     if not 2 <= scale <= MAX_SCALE:
         raise HyalineError(f"larger: is {scale}; expected 2 to {MAX_SCALE} times the dataset's size")
     size = base.config.resolution.times(scale)
@@ -111,7 +109,6 @@ def plan_stereo(base: Dataset, baseline: float) -> Plan:
 
     Its noise is independent: equal noise at equal pixels would look like a surface at infinity.
     """
-    _check_base(base)
     shift = np.eye(4)
     shift[0, 3] = baseline
     right: dict[Split, Cameras] = {split: base.cameras(split) for split in SPLITS}
@@ -130,7 +127,6 @@ def plan_edit(base: Dataset, edits: tuple[Edit, ...]) -> Plan:
 
     The same seeds give both truths the same noise where the edit changes nothing.
     """
-    _check_base(base)
     base.layer_store()
     # Verifies that the meshes are those that the dataset was rendered with.
     read_meshes(base, TRUTH)
@@ -160,6 +156,7 @@ def build_variant(base: Dataset, plan: Plan, *, workers: int, overwrite: bool = 
 
     An edit gets the proxies of the base, changed as their objects are, and its edit masks.
     """
+    _check_base(base)
     root = variant_root(base.root, plan.name)
     with holding(root, DATASET, within=base.root):
         variant = _open_or_start(base, plan, overwrite=overwrite)

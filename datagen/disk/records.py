@@ -48,12 +48,12 @@ def to_json(value: object) -> Json:
         return [to_json(item) for item in value]
     if isinstance(value, Mapping):
         return {str(key): to_json(item) for key, item in value.items()}
+    if (tolist := getattr(value, "tolist", None)) is not None:  # Numbers and arrays of NumPy, whose float64 is a float.
+        return to_json(tolist())
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
     if isinstance(value, Path):
         return value.as_posix()
-    if (tolist := getattr(value, "tolist", None)) is not None:  # Numbers and arrays of NumPy.
-        return to_json(tolist())
     raise TypeError(f"{value!r}: a {type(value).__name__} has no JSON form here")
 
 
@@ -267,7 +267,7 @@ def _fitted(value: object, kind: typing.Any, where: str) -> object:
         return value  # `self`, or a name that only type checkers import.
     found, is_one = value, _is_of(value, kind)
     if not is_one:  # Only then: it takes seconds to convert an array of many points.
-        found = _in_python(value)
+        found = in_python(value)
         is_one = _is_of(found, kind)
     if not is_one or not _is_finite(found):
         expected = "finite numbers" if is_one else _words(kind)
@@ -287,11 +287,11 @@ def _is_of(value: object, kind: typing.Any) -> bool:
     return True
 
 
-def _in_python(value: typing.Any) -> object:
+def in_python(value: typing.Any) -> object:
     numpy = sys.modules.get("numpy")  # Help is printed without it.
     if numpy and isinstance(value, (numpy.ndarray, numpy.generic)):
         value = value.tolist()
-    return tuple(map(_in_python, value)) if isinstance(value, (list, tuple)) else value
+    return tuple(map(in_python, value)) if isinstance(value, (list, tuple)) else value
 
 
 def _is_finite(value: object) -> bool:

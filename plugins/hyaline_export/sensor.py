@@ -34,8 +34,10 @@ NUM_LAYERS = 8
 def sensor_depth(found: ViewQuantities, *, baseline: float = BASELINE) -> Float32[np.ndarray, "h w"]:
     """Measured depth along the camera's viewing axis in metres; 0 in holes. Traces rays: needs Mitsuba."""
     ends, surfaces, camera = found.light_ends, found.surfaces, found.view.camera
-    changes = [np.gradient(ends.flow[..., axis], axis=(0, 1)) for axis in (0, 1)]
-    stretch, share = np.abs(changes).max(axis=(0, 1)), ends.attenuation.mean(axis=-1)
+    beside = np.pad(ends.flow, ((1, 1), (1, 1), (0, 0)), mode="edge")
+    neighbours = (beside[:-2, 1:-1], beside[2:, 1:-1], beside[1:-1, :-2], beside[1:-1, 2:])
+    stretch = np.abs(np.subtract(neighbours, ends.flow)).max(axis=(0, -1))
+    share = ends.attenuation.mean(axis=-1)
     depth = np.where((stretch <= MAX_STRETCH) & (share**2 >= MIN_RETURN), ends.depth_along_axis, 0)
     depth = np.where(found.glass, depth, found.depth_along_axis)
     place = camera.world_from_camera[:3, 3] + baseline * camera.world_from_camera[:3, 0]

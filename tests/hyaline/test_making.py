@@ -106,7 +106,9 @@ def test_what_cannot_be_a_scene_is_refused_in_one_line() -> None:
 def test_numbers_of_numpy_describe_a_scene() -> None:
     with unchecked():
         glass, floor = hy.Dielectric(ior=np.float32(1.5)), hy.Diffuse(color=np.array([0.1, 0.2, 0.3]))  # pyright: ignore
+        clear = hy.Dielectric(absorption=tuple(np.array([0.1, 0.2, 0.3])))  # Of float64, which is a float.
     assert to_json(glass)["ior"] == 1.5 and to_json(floor)["color"] == [0.1, 0.2, 0.3]
+    assert {type(value) for value in to_json(clear)["absorption"]} == {float}
 
 
 def test_a_view_has_the_layers_that_its_camera_has(dataset: hy.Dataset) -> None:

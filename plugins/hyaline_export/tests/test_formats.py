@@ -31,7 +31,7 @@ from datagen.scene.modelling import lathe
 from datagen.terminal.plugins import VERSION
 from hyaline_export.bop import symmetries
 from hyaline_export.formats import FORMATS, export_dataset
-from hyaline_export.sensor import BASELINE, sensor_depth
+from hyaline_export.sensor import BASELINE, MAX_STRETCH, sensor_depth
 from hyaline_export.source import Source
 
 POINTS = 600
@@ -208,6 +208,11 @@ def test_a_sensor_sees_through_a_slab_not_into_a_ball_nor_where_the_projector_is
         assert ((depth[on_floor] == 0) == is_hidden).mean() > 0.995
         # A ball turns what is behind it upside down.
         assert not depth[found.object_mask("ball") & (found.opaque_object_id == 1)].any()
+        for axis in (0, 1):
+            jumps = (np.abs(np.diff(found.light_ends.flow, axis=axis)) > MAX_STRETCH).any(axis=-1)
+            for side in (slice(None, -1), slice(1, None)):
+                there = (slice(None),) * axis + (side,)
+                assert not depth[there][jumps & found.glass[there]].any()
         through = found.object_mask("slab") & (depth > 0) & (found.light_ends.object_id == 1)
         num_hidden, num_through = num_hidden + is_hidden.sum(), num_through + through.sum()
     assert num_hidden > 5 and num_through > 300
