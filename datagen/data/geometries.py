@@ -137,16 +137,16 @@ def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
     if (head.kind, head.dataset) != (kind, dataset.seal):
         raise HyalineError(
             f"{root / PROXIES.head}: holds {head.kind!r} of another dataset or folder; make them again with "
-            f"`{_maker(kind)} --overwrite`"
+            f"--overwrite (`{_maker(kind)}`)"
         )
     return head.proxies
 
 
 def _maker(kind: str) -> str:
-    """The command that makes a geometry."""
+    """The command that makes a geometry, or that explains how to make a mixture."""
     if is_fitted(kind):
         return "model fit"
-    return f"proxies make --kind {kind}" if kind in PROXY_KINDS else "proxies make --assign OBJECT=KIND"
+    return f"proxies make --kind {kind}" if kind in PROXY_KINDS else "proxies make --help"
 
 
 def read_assignment(dataset: Dataset, geometry: str) -> tuple[str, ...] | None:

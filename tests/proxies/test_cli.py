@@ -95,7 +95,7 @@ def test_a_mixture_gives_each_object_the_proxy_that_its_kind_alone_gives(peeled:
         ("make --name mixed-b", 2, "--name needs it"),
         ("make --name shelf --assign pane=box", 1, "name 'shelf': expected mixed"),
         ("check --geometry truth", 2, "no geometry 'truth'; choose from box"),
-        ("check --geometry mixed", 1, "no mixed proxies; make them with `proxies make --assign OBJECT=KIND`"),
+        ("check --geometry mixed", 1, "no mixed proxies; make them with `proxies make --help`"),
         ("check", 1, "no ellipsoid proxies; make them with `proxies make --kind ellipsoid`"),
     ],
 )

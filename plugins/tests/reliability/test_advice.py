@@ -42,8 +42,7 @@ def test_every_command_of_a_workflow_advises_what_works_as_it_stands(start: Call
     assert ask(f"model predict runs/none --dataset '{SPACED}'", status=1) == ["model train paper"]
     assert ask("report --table table1", status=1) == [f"model sweep table1 --dataset '{SPACED}'"]
     assert ask(f"proxies make '{SPACED}' --kind box") == [f"model train paper '{SPACED}' --geometry box"]
-    assert ask(f"{train} --geometry hull", status=1) == ["proxies make"]
-    assert ask(f"{train} --geometry mixed-a", status=1) == ["proxies make"]
+    assert ask(f"{train} --geometry hull", status=1) == ["proxies make --kind hull"]
     assert ask(f"{train} --out 'elsewhere/two words/paper'") == ["report elsewhere"]
     assert ask(train) == ["report"]
     run = "'runs/two words/paper-w8-t8-batch32-5-steps'"
