@@ -7,6 +7,8 @@ from support.commands import call, parsed
 from support.disk import State
 from support.scenarios import BUILD, TRAIN
 
+from datagen.machine.mitsuba_variant import use_mitsuba
+
 ADVICE = re.compile(r"^next: (.*)$|`((?:datagen|proxies|model|report|eval report) [^`]*)`", re.MULTILINE)
 SPACED = "data/two words"
 
@@ -31,6 +33,7 @@ def ask(line: str, *, status: int = 0, follow: bool = True) -> list[str]:
 
 
 def test_every_command_of_a_workflow_advises_what_works_as_it_stands(start: Callable[[str], State]) -> None:
+    use_mitsuba()  # Scenarios do not, and a report looks up normals.
     start("scene")
     build = BUILD.replace("data/one", f"'{SPACED}'")
     train = TRAIN.replace("data/one", f"'{SPACED}'")
