@@ -97,7 +97,7 @@ def _build_scene(
         shard=part,
     )
     if part is not None:
-        say(f"{root}: part {part} is done; the same command without --shard makes what other parts left")
+        say(f"{root}: part {part} is done; without --shard, the same command makes the rest, and stereo pairs")
         return made
     peel_variants(made, workers=choices.workers)
     if choices.stereo is not None:

@@ -6,6 +6,7 @@ Folders come from anybody. Of a run that names another dataset than there is tru
 
 import dataclasses
 import math
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -124,11 +125,10 @@ def list_parts(run: Run, protocol: Protocol) -> list[Part]:
     has_edits = any(found[name] for name in found if name != ANGLES)
     for name, part in found.items():
         if part is None and (has_edits or name == ANGLES):
-            flag = "--angles" if name == ANGLES else "--edit"
-            raise HyalineError(
-                f"{variant_root(run.folder, name) / 'predictions'}: missing; the protocol asks for "
-                f"{', '.join(wanted[name])}, whose cameras `datagen add {dataset.root} {flag}` makes"
-            )
+            add = f"`datagen add {shlex.quote(str(dataset.root))} --angles`"
+            hint = f"whose cameras {add} makes" if name == ANGLES else "as of other edits, or for none"
+            missing = f"{variant_root(run.folder, name) / 'predictions'}: missing"
+            raise HyalineError(f"{missing}; the protocol asks for {', '.join(wanted[name])}, {hint}")
     listed = [(run, TEST_SPLITS)] + [(part, wanted[name]) for name, part in found.items() if part]
     for part, splits in listed:
         for split in splits:

@@ -32,7 +32,7 @@ def test_a_killed_part_and_a_build_without_parts_end_in_the_same_bytes(
     (out / "records/train/0000.json.0123456789abcdef.hyaline-tmp").write_bytes(b"half a rec")
     answer = call(part)
     assert answer.status == 0, answer.err
-    assert "part 1/2 is done; the same command without --shard makes what other parts left" in answer.err
+    assert "part 1/2 is done; without --shard, the same command makes the rest, and stereo pairs" in answer.err
     assert (out / "records/train/0000.json.0123456789abcdef.hyaline-tmp").is_file(), "a part deletes nothing"
     run(build(scene_folder, out))
     assert tree(out) == tree(built)
