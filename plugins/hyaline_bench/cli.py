@@ -93,7 +93,7 @@ def score(
     found = find_runs(runs, data, preset, protocol)
     if not found:
         raise HyalineError(
-            f"{runs}: has no predictions of the {preset} datasets, but for what lines above name; make some with "
+            f"{runs}: has no predictions of the {preset} datasets, other than any left out above; make some with "
             f"`hyaline-bench commands --preset {preset} | model sweep -`"
         )
     names = sorted(found) if method is None else [choose("method", method, found)]
