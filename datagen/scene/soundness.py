@@ -118,7 +118,7 @@ def check_names(scene: Scene) -> None:
 
 
 def check_glass_is_seen(scene: Scene, splits: Iterable[Cameras]) -> None:
-    """Refuses cameras none of which sees any glass: listed poses are then probably in another convention."""
+    """Refuses a scene whose cameras see no glass: listed poses are then probably in another convention."""
     there = [item for item in scene.objects if is_there(item.mesh)]
     glass = [item for item in there if item.material.is_glass] or there
     if not any(any(seeing(cameras, item.mesh)) for cameras in splits for item in glass):
