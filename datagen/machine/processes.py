@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
+from types import ModuleType
 from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
@@ -140,8 +141,14 @@ def _spawned(
     context = multiprocessing.get_context("spawn")
     how = os.getpid(), make_job, max(1, num_cores() // workers), *arguments
     with ProcessPoolExecutor(workers, mp_context=context, initializer=_start_worker, initargs=how) as pool:
+        # As workers start, they would run a script that lacks `if __name__ == "__main__"` again.
+        main, sys.modules["__main__"] = sys.modules["__main__"], ModuleType("__main__")
         try:
-            yield from pool.map(_call_worker, [function] * len(tasks), tasks)
+            results = pool.map(_call_worker, [function] * len(tasks), tasks)
+        finally:
+            sys.modules["__main__"] = main
+        try:
+            yield from results
         except BrokenProcessPool:
             raise WorkerKilledError(
                 "a worker process was killed (the system does that where memory runs out)"

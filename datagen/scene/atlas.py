@@ -72,9 +72,10 @@ def unwrap_all(meshes: dict[str, Mesh]) -> dict[str, Mesh]:
 
 
 def _surface(mesh: Mesh) -> Arrays:
-    """The arrays from which an atlas is made."""
+    """The arrays from which an atlas is made, its vertices in a box of `BOX` units."""
+    inside = mesh.vertices.astype(np.float64) - mesh.vertices.min(axis=0)
     return {
-        "vertices": _in_box(mesh.vertices),
+        "vertices": (inside * (BOX / (float(inside.max()) or 1.0))).astype(np.float32),
         "normals": mesh.normals.astype(np.float32),
         "faces": mesh.faces.astype(np.uint32),
     }
@@ -275,14 +276,6 @@ def keep_arrays(kind: str, made: Mapping[str, Arrays]) -> None:
 
 
 # xatlas and its child process
-
-
-def _in_box(vertices: np.ndarray) -> np.ndarray:
-    """Vertices moved and uniformly scaled into a box of `BOX` units."""
-    wide = vertices.astype(np.float64)
-    low = wide.min(axis=0)
-    extent = float((wide.max(axis=0) - low).max())
-    return ((wide - low) * (BOX / (extent or 1.0))).astype(np.float32)
 
 
 def _with_uv(mesh: Mesh, atlas: Arrays, *, where: str) -> Mesh:

@@ -119,7 +119,7 @@ def _parse(program: str, command: Command, words: Sequence[str]) -> functools.pa
                 prog=program,
                 description=(inspect.getdoc(command) or "").partition("\n\nArgs:")[0] + "\n\n" + QUIET_HELP,
                 args=_words_first(command, words),
-                config=_config(),
+                config=(tyro.conf.OmitArgPrefixes, tyro.conf.UseAppendAction, tyro.conf.DisallowNone),
             )
     except HyalineError as error:  # A field of a record is named in it, which may not be its flag.
         name, colon, rest = str(error).partition(": ")
@@ -298,12 +298,6 @@ def _default(value: str) -> str:
     """What help says about a default; where it is empty, the text itself does."""
     shown = {"None": "", "False": "", "True": "(default: on)", "": ""}
     return shown.get(value, f"(default: {value})")
-
-
-def _config() -> tuple[Any, ...]:
-    import tyro
-
-    return (tyro.conf.OmitArgPrefixes, tyro.conf.UseAppendAction, tyro.conf.DisallowNone)
 
 
 def _list_commands(program: str, group: CommandGroup) -> str:

@@ -1,6 +1,7 @@
 """The benchmark's protocol: scenes, sizes, splits, edits and tracks, from protocol.toml."""
 
 import functools
+import shlex
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -114,16 +115,12 @@ class Protocol:
     def all_scenes(self, preset: str) -> list[str]:
         return [*self.public_scenes(preset), *self.hidden_scenes(preset)]
 
-    def edit_variants(self, scene: str) -> list[str]:
-        """The names of the variants with a scene's edits."""
-        return [edits_name((parse_edit(edit),)) for edit in self.scenes.get(scene, ())]
-
     def variant_splits(self, scene: str) -> dict[str, Sequence[Split]]:
         """The variants to predict beside the scene itself, and their splits."""
         if scene not in self.scenes:
             return {}  # The cameras of random scenes leave no room 40 degrees outside.
         splits: dict[str, Sequence[Split]] = {ANGLES: [split for split in ANGLE_SPLITS if split in self.splits]}
-        return splits | dict.fromkeys(self.edit_variants(scene), TEST_SPLITS)
+        return splits | dict.fromkeys((edits_name((parse_edit(edit),)) for edit in self.scenes[scene]), TEST_SPLITS)
 
     def allowed(self, track: str) -> list[str]:
         """What a track allows, and the tracks before it."""
@@ -183,7 +180,8 @@ def glass_masks(dataset: Dataset) -> Path:
     """The folder of masks that tell which pixels' light meets glass."""
     masks = variant_root(dataset.root, NO_GLASS) / EDIT_MASKS_FOLDER
     if not masks.is_dir():
-        raise HyalineError(f"{masks}: missing; make them with `datagen add {dataset.root} --edit {NO_GLASS}`")
+        words = ["datagen", "add", str(dataset.root), "--edit", NO_GLASS]
+        raise HyalineError(f"{masks}: missing; make them with `{shlex.join(words)}`")
     return masks
 
 

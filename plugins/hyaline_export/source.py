@@ -81,9 +81,7 @@ class Source:
     def views(self) -> tuple[ExportView, ...]:
         """All views: training ones, those of them held out for validation, then the test splits."""
         train = self.dataset.views("train") if "train" in self.dataset.splits else []
-        if self.dataset.parent is None and len(train) < 2:
-            raise HyalineError(f"{self.dataset.root}: has {len(train)} training views; expected at least two to export")
-        held_out = evenly(max(1, min(MAX_HELD_OUT, len(train) // 5)), len(train)) if train else []
+        held_out = evenly(max(len(train) > 1, min(MAX_HELD_OUT, len(train) // 5)), len(train))
         test = [view for split in self.dataset.splits if split != "train" for view in self.dataset.views(split)]
         return (
             *(ExportView(view=view, role="train") for view in train if view.index not in held_out),

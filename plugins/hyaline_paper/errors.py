@@ -1,5 +1,6 @@
 """Where methods err: their squared errors by what pixels show, over scenes, and their highlights."""
 
+import shlex
 from collections.abc import Sequence
 
 import numpy as np
@@ -69,9 +70,8 @@ def show_classes(dataset: Dataset, split: Split) -> UInt8[np.ndarray, "view h w"
         HyalineError: there is no twin without glass, whose edit masks tell where glass casts light.
     """
     if not has_variant(dataset, TWINS[0]):
-        raise HyalineError(
-            f"{dataset.root}: has no twin without glass; make it with `datagen add {dataset.root} --edit {TWINS[0]}`"
-        )
+        words = ["datagen", "add", str(dataset.root), "--edit", TWINS[0]]
+        raise HyalineError(f"{dataset.root}: has no twin without glass; make it with `{shlex.join(words)}`")
     twin = open_variant(dataset, TWINS[0])
     materials = [item.material for item in open_scene(dataset, TRUTH).objects]
     mirrors = np.array([False, *(isinstance(material, (Conductor, Plastic)) for material in materials)])

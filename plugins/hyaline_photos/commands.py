@@ -8,6 +8,7 @@ from typing import Literal
 
 from datagen.data.paths import DATA_ROOT, FITTED, find_dataset
 from datagen.disk.errors import HyalineError, UsageError
+from datagen.disk.ownership import DATASET, refuse_others
 from datagen.terminal.command import next_command, say, tell
 from model.settings import RUNS, SEED
 
@@ -90,14 +91,17 @@ def capture(
         overwrite: Replace an existing dataset.
     """
     from hyaline_import.datasets.import_dataset import write_import
+    from hyaline_import.source import scene_name
     from hyaline_photos.capture.capture import plan_capture
 
+    root = out or DATA_ROOT / scene_name(folder.resolve())
+    refuse_others(root, DATASET)
     plan = plan_capture(folder, choices)
-    dataset = write_import(plan, out or DATA_ROOT / plan.config.scene, overwrite=overwrite)
+    dataset = write_import(plan, root, overwrite=overwrite)
     say(*plan.imported.remarks)
     tell(str(dataset.root))
-    root = shlex.quote(str(dataset.root))
-    next_command(f"datagen peel {root} && model fit {root}")
+    place = shlex.quote(str(dataset.root))
+    next_command(f"datagen peel {place} && model fit {place}")
 
 
 def fit(

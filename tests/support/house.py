@@ -126,15 +126,11 @@ def faults() -> list[str]:
                 wrong.append(f"{place}: {lines} lines of {kind}; its budget is {budget}: what can go?")
             elif budget > lines * (1 + SLACK):
                 wrong.append(f"{place}: {lines} of {budget} lines of {kind}; run tests/support/house.py --lower")
-    density = average_density(read_rooms()["python"])
+    python = read_rooms()["python"].values()
+    density = sum(room.density * room.lines for room in python) / sum(room.lines for room in python)
     if density > told["tokens_a_line"]:
         wrong.append(f"{density:.2f} tokens in a line of Python; at most {told['tokens_a_line']}")
     return wrong
-
-
-def average_density(rooms: dict[str, Room]) -> float:
-    """Tokens in a line of code of the whole house, its rooms weighted by their lines."""
-    return sum(room.density * room.lines for room in rooms.values()) / sum(room.lines for room in rooms.values())
 
 
 def lower() -> None:

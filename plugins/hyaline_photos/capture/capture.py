@@ -168,8 +168,8 @@ def _exposed(
     shots = cast(list[Shot], [shot for split in SPLITS for shot in views[split]])
     drawn = [_picture(shot, lens) for shot in track(shots, label="exposure", total=len(shots))]
     exposures = find_exposures(drawn, world.cameras(shots, lens), maps, points)
-    corrected = (exposures.corrected(picture, view) for view, picture in enumerate(drawn))
-    return {shot.picture: picture for shot, picture in zip(shots, corrected, strict=True)}, exposures.in_words()
+    corrected = {shot.picture: exposures.corrected(drawn[view], view) for view, shot in enumerate(shots)}
+    return corrected, exposures.in_words()
 
 
 def _object_ids(shot: Shot, lens: Lens) -> UInt8[np.ndarray, "h w"]:

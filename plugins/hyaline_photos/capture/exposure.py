@@ -52,8 +52,6 @@ class Exposures:
 
     def corrected(self, picture: UInt8[np.ndarray, "h w 3"], view: int) -> UInt8[np.ndarray, "h w 3"]:
         """A picture as if it had the mean exposure, and no falloff."""
-        if not (self.gains.any() or self.falloff):
-            return picture
         height, width = picture.shape[:2]
         log = self.gains[view] + self.falloff * _radii(width, height)[..., None]
         return to_8bit(srgb_from_linear(linear_from_srgb(picture / np.float32(255)) * np.exp(-log).astype(np.float32)))

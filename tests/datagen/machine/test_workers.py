@@ -1,4 +1,4 @@
-"""Tests that a killed child process ends in one line: what is missing, what goes on, and nothing lost."""
+"""Tests of workers: one that is killed is one line, with nothing lost; none runs the script that started it."""
 
 import os
 import shlex
@@ -49,3 +49,12 @@ def test_a_killed_worker_is_one_line_that_counts_missing_views_and_names_the_com
     run(shlex.join(["datagen", *words]))
     assert len(list(out.glob("images/train/*.png"))) == 8
     assert {name: (out / "records/train" / name).read_bytes() for name in kept} == kept
+
+
+def test_a_script_without_a_guard_for_new_processes_builds_in_several(tmp_path: Path) -> None:
+    save_scene(synthetic_scene(), tmp_path / "scene")
+    flags = "preset='tiny', resolution=16, num_layers=4, views=4, test_views=1, spp=4, test_spp=4, workers=2"
+    script = tmp_path / "script.py"
+    script.write_text(f"import hyaline\nhyaline.build('scene', 'out', {flags})\nprint('built')\n")
+    ended = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True)
+    assert ended.stdout == "built\n", ended.stderr

@@ -31,11 +31,6 @@ BROKEN = {
 """Changes to the example, each of which breaks the promise of one check."""
 
 
-def words_of(page: str) -> str:
-    """What a help page says, without its frame."""
-    return " ".join(page.replace("│", " ").split())
-
-
 @pytest.fixture
 def found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """The example as an installer would leave it, where this process finds it."""
@@ -50,7 +45,7 @@ def found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 @pytest.mark.usefixtures("one_thread", "found")
 def test_a_method_of_another_distribution_is_listed_checked_and_short() -> None:
     assert len((EXAMPLE / "nearest_view.py").read_text().splitlines()) < 60
-    listed = words_of(call("model train --help").out)
+    listed = " ".join(call("model train --help").out.replace("│", " ").split())
     assert "nearest-view The training pictures with the nearest cameras, blended. Brought by nearest-view." in listed
     answer = call("model check-method nearest-view")
     lines = answer.out.splitlines()
