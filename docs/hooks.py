@@ -1,13 +1,14 @@
-"""Hooks of mkdocs: RESULTS.md and the API reference become pages, links to other files become their paths, search works
-from disk."""
+"""Hooks of mkdocs: RESULTS.md, the API reference and the help of commands become pages, links to other files become
+their paths, search works from disk."""
 
+import importlib
 import posixpath
 import re
 import sys
 from pathlib import Path
 from typing import Any
 
-RESULTS = "RESULTS.md"
+RESULTS, OPTIONS = "RESULTS.md", "options.md"
 REFERENCE = re.compile(r"^::: (.+)$", re.MULTILINE)
 """Names of `hyaline` in a page, whose reference takes their place."""
 LINK = re.compile(r"(?<!!)\[([^\]]*)\]\((\.\./[^)#\s]*)(#[^)\s]*)?\)")
@@ -19,6 +20,7 @@ def on_files(files: Any, config: Any) -> None:
     text = (Path(config.docs_dir).parent / RESULTS).read_text()
     text = text.replace("[docs/results](docs/results)", "`docs/results`").replace("](docs/", "](")
     files.append(File.generated(config, RESULTS, content=text))
+    files.append(File.generated(config, OPTIONS, content=_beside("options").every_option()))
 
 
 def on_page_markdown(markdown: str, page: Any, **_: object) -> str:
@@ -26,12 +28,16 @@ def on_page_markdown(markdown: str, page: Any, **_: object) -> str:
 
 
 def _reference(names: str) -> str:
+    return "\n\n".join(map(_beside("reference").reference, names.split()))
+
+
+def _beside(name: str) -> Any:
+    """A module of this folder."""
     sys.path.insert(0, str(Path(__file__).parent))
     try:
-        from reference import reference  # pyright: ignore[reportMissingImports]
+        return importlib.import_module(name)
     finally:
         del sys.path[0]
-    return "\n\n".join(map(reference, names.split()))
 
 
 def inside(markdown: str, page: str) -> str:

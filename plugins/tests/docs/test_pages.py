@@ -53,7 +53,7 @@ def test_every_link_within_the_repository_leads_to_a_file_or_heading(page: Path)
 def test_the_site_lists_every_page() -> None:
     listed = re.findall(r"[\w/-]+\.md", (ROOT / "mkdocs.yml").read_text())
     pages = [path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md")]
-    assert sorted(listed) == sorted(["RESULTS.md", *pages])
+    assert sorted(listed) == sorted(["RESULTS.md", "options.md", *pages])
 
 
 def test_every_promise_is_kept_by_the_tests_that_its_table_names() -> None:
@@ -96,7 +96,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_site_has_no_broken_link_and_loads_nothing_from_elsewhere(site: Path) -> None:
     pages = {page: Links(page) for page in site.rglob("*.html") if page.name not in ("404.html", "search.html")}
-    assert len(pages) == len(list((ROOT / "docs").rglob("*.md"))) + 1
+    assert len(pages) == len(list((ROOT / "docs").rglob("*.md"))) + 2
     broken = []
     for page, links in pages.items():
         for link in [*links.loaded, *(link for link in links.followed if not link.startswith("https://"))]:
@@ -107,14 +107,14 @@ def test_the_site_has_no_broken_link_and_loads_nothing_from_elsewhere(site: Path
     assert not broken
 
 
-def test_the_api_reference_has_every_public_name(site: Path) -> None:
+def test_the_site_has_every_option_and_the_reference_every_public_name(site: Path) -> None:
     listed = re.findall(r"^::: (.+)$", (ROOT / "docs" / "api.md").read_text(), flags=re.MULTILINE)
     names = " ".join(listed).split()
     assert sorted(names) == sorted(set(hyaline.__all__) - {"__version__"})
     page = Links(site / "api.html")
     assert {name.lower() for name in names} <= page.ids and "datasetview" in page.ids
-    text = re.sub("<[^>]+>", "", (site / "api.html").read_text())
-    assert "Absolute index of refraction" in text and "folder: Path | str | None=None" in text
+    text = re.sub("<[^>]+>", "", (site / "api.html").read_text() + (site / "options.html").read_text())
+    assert all(part in text for part in ("Absolute index of refraction", "folder: Path | str | None=None", "--preset"))
 
 
 def test_the_example_of_a_scene_is_a_scene(tmp_path: Path) -> None:
