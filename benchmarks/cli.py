@@ -202,7 +202,7 @@ def browser(
         quality: Of the page, as `model export` takes it.
         samples: Rays a pixel, a square number.
         views: How many of each test split; 0 for all.
-        edit: Edits of the scene, as `datagen build --edit` takes them: both draw what they make of it.
+        edit: Edits of the scene, as `datagen add --edit` takes them: both draw what they make of it.
     """
     from benchmarks.compare import compare_page, page_table
 

@@ -69,7 +69,7 @@ def compare_page(
     Args:
         dataset: where the run's dataset lies now; None: where the run found it.
         views: of each split; 0: all.
-        edits: of the scene, which both draw, as `datagen build --edit` takes them.
+        edits: of the scene, which both draw, as `datagen add --edit` takes them.
     """
     record = read_run(run)
     opened = open_dataset(dataset or Path(record.dataset))
