@@ -9,14 +9,10 @@ import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import real_path
 from datagen.terminal.command import say
-
-if TYPE_CHECKING:
-    import submitit
 
 
 def run_in_jobs(
@@ -55,7 +51,9 @@ def run_in_jobs(
     try:
         for name, job in zip(jobs, sent, strict=True):
             try:
-                reason = _error_of(job) if job.result() else ""
+                failed = job.result() != 0
+                errors = [line[7:] for line in (job.stderr() or "").splitlines() if line.startswith("error: ")]
+                reason = (errors or ["no error was printed"])[-1] if failed else ""
             except Exception:  # submitit raises plain exceptions, too.
                 reason = f"ended without a result ({job.state})"
             if reason:
@@ -66,12 +64,6 @@ def run_in_jobs(
             job.cancel(check=False)
         raise
     return failures
-
-
-def _error_of(job: "submitit.Job[int]") -> str:
-    """The last error in a job's log."""
-    errors = [line[7:] for line in (job.stderr() or "").splitlines() if line.startswith("error: ")]
-    return errors[-1] if errors else "no error was printed"
 
 
 def raise_failures(where: str, failures: Mapping[str, str], total: int) -> None:

@@ -141,18 +141,23 @@ def _spawned(
     context = multiprocessing.get_context("spawn")
     how = os.getpid(), make_job, max(1, num_cores() // workers), *arguments
     with ProcessPoolExecutor(workers, mp_context=context, initializer=_start_worker, initargs=how) as pool:
+        others = set(multiprocessing.active_children())
         # As workers start, they would run a script that lacks `if __name__ == "__main__"` again.
         main, sys.modules["__main__"] = sys.modules["__main__"], ModuleType("__main__")
         try:
-            results = pool.map(_call_worker, [function] * len(tasks), tasks)
+            futures = [pool.submit(_call_worker, function, task) for task in tasks]
         finally:
             sys.modules["__main__"] = main
         try:
-            yield from results
+            yield from (future.result() for future in futures)
         except BrokenProcessPool:
             raise WorkerKilledError(
                 "a worker process was killed (the system does that where memory runs out)"
             ) from None
+        except BaseException:
+            for worker in set(multiprocessing.active_children()) - others:
+                worker.terminate()  # The pool would let each finish a task or two.
+            raise
 
 
 _how: tuple[Any, ...] = ()

@@ -54,7 +54,9 @@ class CausticMap:
         sampler: random numbers, as many at once as there are photons.
         """
         self._cube = dr.opaque(mi.Float, _cube_size(np.array(p).T))
-        self._side = next((side for side in SIDES if self._fills(p, d, side)), SIDES[-1])
+        cell, most = _cell(p, self._cube), dr.width(d) / PHOTONS_PER_BIN
+        fills = (side for side in SIDES if _count_distinct(_entries(cell, _bin_of(d, side), side)) <= most)
+        self._side = next(fills, SIDES[-1])
         self._num_bins = 2 * self._side**2
         copies = [self._places(p, d, sampler) for _ in range(COPIES)]
         # Cells in ascending order, the bins of each in ascending order, each entry with the power of its photons.
@@ -110,11 +112,6 @@ class CausticMap:
         spread = SPREAD * math.sqrt(4 * math.pi / self._num_bins)
         turned = d + spread * ((sampler.next_1d() - 0.5) * s + (sampler.next_1d() - 0.5) * t)
         return _entries(_cell(moved, self._cube), _bin_of(dr.normalize(turned), self._side), self._side)
-
-    def _fills(self, p: Lanes, d: Lanes, side: int) -> bool:
-        """Whether the bins in use hold enough photons."""
-        used = _count_distinct(_entries(_cell(p, self._cube), _bin_of(d, side), side))
-        return dr.width(d) >= PHOTONS_PER_BIN * used
 
 
 def _entries(cell: Lanes, key: Lanes, side: int) -> UInt64[np.ndarray, " photon"]:

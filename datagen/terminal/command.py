@@ -80,6 +80,8 @@ def _end(error: BaseException, arguments: list[str]) -> None:
     # A signal that arrives inside of a library may reach us as the cause of its own error: of a RuntimeError while
     # Dr.Jit 1.5 records a loop, of a SystemError or an ImportError while a compiled module is imported.
     if (stopped := signal_within(error)) is not None:
+        for number in (signal.SIGINT, signal.SIGTERM):  # Another one would break off Python's own end.
+            signal.signal(number, signal.SIG_IGN)
         same = "the same command without --overwrite" if "--overwrite" in arguments else "the same command again"
         fail(stopped.message or f"stopped; run {same} to continue", status=stopped.status)
     if isinstance(error, BrokenPipeError):  # As other tools when their reader has gone (`report | head`).

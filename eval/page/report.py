@@ -188,7 +188,7 @@ def _open_runs(runs_root: Path, data_root: Path, out: Path, only: Path | None) -
         is_own = dataset is None or folder.parent.name == dataset.name
         try:
             if has_predictions(folder):
-                run = open_run(folder, data_root, dataset if is_own else None)
+                run = open_run(folder, data_root, dataset)
                 if run.dataset.withheld:
                     say(f"{folder}: a verifier of hyaline-bench keeps the truth; skipped")
                 elif dataset is None or run.dataset.seal == dataset.seal:

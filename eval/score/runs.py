@@ -133,7 +133,8 @@ def open_run(folder: Path, data_root: Path, given: Dataset | None = None) -> Run
     texts = {key: printable(text) for key, text in vars(record).items() if isinstance(text, str)}
     record = dataclasses.replace(record, config=config, **texts)
     scenes = dict.fromkeys(path.parent.name for path in (folder.absolute(), real_path(folder)))
-    places = [given and given.root, record.dataset, *(data_root / scene for scene in scenes)]
+    own = given if given and (record.dataset_seal == given.seal or given.name in scenes) else None
+    places = [own and own.root, record.dataset, *(data_root / scene for scene in scenes)]
     dataset = _find_dataset(folder, [Path(place) for place in places if place is not None], record.dataset_seal)
     promised = _read_promised(folder, dataset, seal)
     return Run(folder=folder, name=printable(folder.name), dataset=dataset, record=record, seal=seal, promised=promised)
@@ -243,8 +244,8 @@ def _find_dataset(folder: Path, places: list[Path], seal: str | None) -> Dataset
     datasets = [open_dataset(place) for place in places if (place / "dataset.json").is_file()]
     if not datasets:
         raise HyalineError(
-            f"{folder}: no dataset at {' or '.join(map(str, places))}; set --data to the folder that contains it under "
-            "the scene's name"
+            f"{folder}: no dataset at {' or '.join(dict.fromkeys(map(str, places)))}; name it by `report --dataset`, "
+            "or set --data to the folder that contains it under the scene's name"
         )
     for dataset in datasets:
         if seal in (None, dataset.seal):

@@ -233,6 +233,10 @@ def test_only_the_runs_of_the_chosen_dataset_are_scored(copy: Path, capsys: pyte
     assert (copy / "runs/report-synthetic/index.html").is_file() and not (copy / "runs/report").exists()
     with pytest.raises(HyalineError, match=r"^.*other/lost: no dataset at .*elsewhere/other"):
         make_report(copy / "runs", copy / "elsewhere", copy / "out", output_format="json")
+    capsys.readouterr()
+    renamed = moved.rename(moved.with_name("renamed"))
+    make_report(copy / "runs", copy / "data", copy / "out", output_format="json", only=renamed)
+    assert list(runs_of(capsys.readouterr().out)) == ["perfect", "grey"]
 
 
 def test_the_report_knows_every_key_that_training_writes() -> None:

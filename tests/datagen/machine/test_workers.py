@@ -1,5 +1,6 @@
 """Tests of workers: one that is killed is one line, with nothing lost; none runs the script that started it."""
 
+import contextlib
 import os
 import shlex
 import signal
@@ -11,6 +12,7 @@ from pathlib import Path
 from support.commands import run
 from support.synthetic import synthetic_scene
 
+from datagen.machine.processes import in_workers
 from datagen.scene.folder import save_scene
 
 FLAGS = (
@@ -58,3 +60,15 @@ def test_a_script_without_a_guard_for_new_processes_builds_in_several(tmp_path: 
     script.write_text(f"import hyaline\nhyaline.build('scene', 'out', {flags})\nprint('built')\n")
     ended = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True)
     assert ended.stdout == "built\n", ended.stderr
+
+
+def touch_slowly(_: int, place: Path) -> None:
+    time.sleep(1)
+    place.touch()
+
+
+def test_workers_end_at_once_where_their_caller_stops(tmp_path: Path) -> None:
+    work = in_workers(touch_slowly, [tmp_path / str(number) for number in range(8)], 2, int, ())
+    with contextlib.closing(iter(work)):  # pyright: ignore[reportArgumentType]
+        next(iter(work))
+    assert len(list(tmp_path.iterdir())) < 4
