@@ -36,18 +36,13 @@ def commands() -> CommandGroup:
     return group(DESCRIPTION, by_name)
 
 
-def peel(
-    size: int = 512,
-    layers: int = 6,
-    subdivisions: int = 6,
-    rounds: int = 7,
-) -> None:
+def peel(scene: str = "glass_table", size: int = 512, layers: int = 6, rounds: int = 7) -> None:
     """Peeling a view and tracing light paths: the tracers against plain loops.
 
     Args:
+        scene: A name that `datagen scenes` lists, or a folder with a scene.json.
         size: Width and height in pixels.
         layers: Layers kept per ray.
-        subdivisions: Of the scene's spheres: four times the triangles for each; 6 give 350,000.
         rounds: Turns of each.
     """
     from datagen.machine.mitsuba_variant import use_mitsuba
@@ -55,8 +50,9 @@ def peel(
     use_mitsuba()
     from benchmarks.harness import show
     from benchmarks.peel import bench_peel
+    from benchmarks.truth import open_views
 
-    show(bench_peel(size=size, num_layers=layers, subdivisions=subdivisions, rounds=rounds))
+    show(bench_peel(*open_views(scene, size), num_layers=layers, rounds=rounds))
 
 
 def truth(scene: str = "glass_table", size: int = 128, rounds: int = 7) -> None:
@@ -72,15 +68,9 @@ def truth(scene: str = "glass_table", size: int = 128, rounds: int = 7) -> None:
 
     use_mitsuba()
     from benchmarks.harness import show
-    from benchmarks.truth import GOAL, bench_truth
-    from datagen.data.config import DatasetConfig, square
-    from datagen.scene.finding import find_scene
-    from datagen.scene.rig import make_cameras
+    from benchmarks.truth import GOAL, bench_truth, open_views
 
-    description = find_scene(scene)
-    config = DatasetConfig.even(description.name, square(size), 4)
-    cameras = make_cameras(description.cameras, config)["train"]
-    show(bench_truth(description, cameras, GOAL, rounds=rounds))
+    show(bench_truth(*open_views(scene, size), GOAL, rounds=rounds))
 
 
 def cycles(

@@ -7,11 +7,11 @@
 import numpy as np
 
 from benchmarks.harness import BenchReport, Candidate, Check, Gate, measure
-from benchmarks.shells import make_shells, materials_of, random_cameras
 from datagen.data.cameras import Cameras
 from datagen.data.layers import Layers, quantize_uv
 from datagen.data.meshes import Mesh
 from datagen.render.mitsuba_scene import load_geometry_mitsuba
+from datagen.scene.description import Scene
 from datagen.trace.light_path import LightPathTracer, TracedPaths
 from datagen.trace.peel import Peeler
 from datagen.trace.surface_tables import Limits
@@ -69,24 +69,17 @@ GATES = (
     Gate(name="fused light paths", baseline="light-path-loop", candidate="light-path", at_least=2),
 )
 
-NUM_CAMERAS = 10
-"""Random views for the checks; the first one is timed."""
-
 SAME_OBJECTS = 0.98
 """Share of the pixels for which both must list the same objects: `spawn_ray` loses surfaces that lie close together."""
 
 LIGHT_LIMITS = Limits(max_branches=2, max_vertices=8, max_depth=16)
 
 
-def bench_peel(*, size: int = 512, num_layers: int = 6, subdivisions: int = 6, rounds: int = 7) -> BenchReport:
-    """Measures one view of the shells. Call `use_mitsuba` first.
-
-    Args:
-        subdivisions: of the shells; 6 give 350,000 triangles.
-    """
-    meshes, cameras = make_shells(subdivisions), random_cameras(NUM_CAMERAS, size)
+def bench_peel(scene: Scene, cameras: Cameras, *, num_layers: int = 6, rounds: int = 7) -> BenchReport:
+    """Measures the first view of a scene; all are checked. Call `use_mitsuba` first."""
+    meshes = tuple(item.mesh for item in scene.objects)
     peeler, eager = Peeler(meshes), EagerPeeler(meshes)
-    tracer = LightPathTracer(meshes, materials_of(meshes))
+    tracer = LightPathTracer(meshes, tuple(item.material for item in scene.objects))
     origin, directions = cameras[0].rays()
     directions = directions.reshape(-1, 3)
     origins = np.broadcast_to(origin, directions.shape)
@@ -120,7 +113,7 @@ def bench_peel(*, size: int = 512, num_layers: int = 6, subdivisions: int = 6, r
             Check(name="same light paths", run=lambda: _compare_paths(tracer, origins, directions)),
         ],
         gates=GATES,
-        settings={"size": size, "layers": num_layers, "subdivisions": subdivisions},
+        settings={"scene": scene.name, "size": cameras.width, "layers": num_layers},
         facts={
             "triangles": sum(len(mesh.faces) for mesh in meshes),
             "hits kept": int((first.object_id > 0).sum()),

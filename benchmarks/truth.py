@@ -17,11 +17,14 @@ from jaxtyping import Float
 
 from benchmarks.harness import BenchReport, Candidate, Check, Gate, measure
 from datagen.data.cameras import Cameras
+from datagen.data.config import DatasetConfig, square
 from datagen.data.images import srgb_from_linear
 from datagen.render.mitsuba_scene import load_scene_mitsuba, load_sensor
 from datagen.render.truth import Renderer, derive_seed
 from datagen.scene.description import Scene
+from datagen.scene.finding import find_scene
 from datagen.scene.materials import Dielectric
+from datagen.scene.rig import make_cameras
 from datagen.terminal.command import say
 
 DEFAULT_RR_DEPTH = 5
@@ -37,6 +40,12 @@ MIN_AGREEMENT = 0.8, 1.25
 """Squared difference of both means over what their noise predicts; 1 where they estimate the same picture."""
 
 OURS, DEFAULTS = "datagen build", "mitsuba's defaults"
+
+
+def open_views(name: str, size: int) -> tuple[Scene, Cameras]:
+    """A scene, and four of its training cameras."""
+    scene = find_scene(name)
+    return scene, make_cameras(scene.cameras, DatasetConfig.even(scene.name, square(size), 4))["train"]
 
 
 @dataclass(frozen=True, kw_only=True)

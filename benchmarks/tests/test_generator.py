@@ -10,9 +10,9 @@ from support.meshes import mesh_of
 from support.rigs import config
 from support.synthetic import synthetic_scene
 
-from benchmarks.shells import make_shells, random_cameras
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import SceneObject
+from datagen.scene.finding import find_scene
 from datagen.scene.materials import Dielectric
 from datagen.scene.rig import make_cameras
 
@@ -24,7 +24,8 @@ from datagen.trace.peel import Peeler  # noqa: E402
 
 
 def test_a_wrong_engine_fails_the_check() -> None:
-    meshes, cameras = make_shells(3), random_cameras(2, 24)
+    scene = find_scene("glass_table")
+    meshes, cameras = tuple(item.mesh for item in scene.objects), make_cameras(scene.cameras, config(views=2))["train"]
     assert compare_objects(meshes, Peeler(meshes), cameras, 4)[0]
     passed, detail = compare_objects(meshes, Peeler(meshes[::-1]), cameras, 4)
     assert not passed
@@ -65,6 +66,6 @@ def test_noise_of_a_known_law_is_extrapolated_exactly() -> None:
 def test_the_command_lists_its_benches_and_prints_tables() -> None:
     answer = call("benchmarks --help")
     assert all(name in answer.out for name in ("peel", "truth", "step"))
-    answer = call("benchmarks peel --size 16 --subdivisions 3 --rounds 3")
+    answer = call("benchmarks peel --size 16 --rounds 3")
     assert answer.status == (1 if "FAILED" in answer.out else 0)
     assert all(name in answer.out for name in ("mitsuba-eager", "mitsuba-fused", "light-path-loop", "same light paths"))

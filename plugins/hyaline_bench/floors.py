@@ -25,8 +25,7 @@ Floor = Callable[[Pictures, Cameras, Cameras], Pictures]
 
 def mean_picture(pictures: Pictures, train: Cameras, test: Cameras) -> Pictures:  # noqa: ARG001
     """The mean of all training pictures, for every camera."""
-    mean = np.rint(pictures.mean(axis=0)).astype(np.uint8)
-    return np.repeat(mean[None], len(test), axis=0)
+    return np.repeat(np.rint(pictures.mean(axis=0, keepdims=True)).astype(np.uint8), len(test), axis=0)
 
 
 def nearest_view(pictures: Pictures, train: Cameras, test: Cameras) -> Pictures:

@@ -99,10 +99,6 @@ def import_dataset(
     next_command(shlex.join(["datagen", "look", str(dataset.root)]))
 
 
-def _is_foreign(given: str) -> bool:
-    return Path(given).suffix.lower() not in ("", ".json") and not Path(given).is_dir()
-
-
 def _find(given: str, resolution: "Resolution", imports: ImportChoices) -> "Scene":
     from hyaline_import.confined_import import imported_scene
     from hyaline_import.source import check_ending
@@ -120,4 +116,9 @@ def _read_mesh(path: Path) -> "tuple[np.ndarray, np.ndarray, np.ndarray | None]"
     return read_mesh(path)
 
 
-FILES = SceneSource(has=_is_foreign, find=_find, is_of_files=True, read_mesh=_read_mesh)
+FILES = SceneSource(
+    has=lambda given: Path(given).suffix.lower() not in ("", ".json") and not Path(given).is_dir(),
+    find=_find,
+    is_of_files=True,
+    read_mesh=_read_mesh,
+)

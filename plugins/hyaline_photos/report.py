@@ -292,9 +292,12 @@ def coverage_grids(scenes: dict[str, Stored]) -> list[Grid]:
         return []
     keys = list(dict.fromkeys(key for of_scene in misses.values() for key in of_scene))
     pooled = {key: [each for of_scene in misses.values() for each in of_scene.get(key, [])] for key in keys}
-    rows = [
-        (scene, *(_held(found.get(key, [])) for key in keys)) for scene, found in [*misses.items(), ("all", pooled)]
-    ]
+    rows = []
+    for scene, found in [*misses.items(), ("all", pooled)]:
+        cells = [found.get(key, []) for key in keys]
+        rows.append(
+            (scene, *(f"{sum(each <= 1 for each in cell)} of {len(cell)}" if cell else MISSING for cell in cells))
+        )
     wider = [float(np.quantile(pooled[key], COVERED, method="higher")) for key in keys]
     rows.append((f"factor for {100 * COVERED:.0f} %", *(format_number(each, 1) for each in wider)))
     note = (
@@ -310,10 +313,6 @@ def _miss(found: Stored, true: float) -> float:
     value = found["value"]
     side = found["high"] - value if true > value else value - found["low"]
     return abs(true - value) / side if side > 0 else (0.0 if true == value else math.inf)
-
-
-def _held(misses: list[float]) -> str:
-    return f"{sum(miss <= 1 for miss in misses)} of {len(misses)}" if misses else MISSING
 
 
 FITS = ReportPart(head=FIT.head, find=find_fits, scene_grids=scene_grids, all_grids=coverage_grids)

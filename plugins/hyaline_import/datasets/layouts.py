@@ -193,7 +193,9 @@ def _views(root: Path, file: Transforms) -> tuple[ForeignView, ...]:
 def split_listed(file: Transforms, views: Sequence[View]) -> dict[Role, tuple[View, ...]]:
     """The views of one file by role: by its lists of names (`train_filenames`), or else every eighth for tests."""
     if f"{ROLES[0]}_filenames" not in file.content:
-        return split_evenly(views)
+        # Every eighth view, starting with the first, is for tests.
+        train = tuple(view for place, view in enumerate(views) if place % EVERY)
+        return {"train": train, "val": (), "test": tuple(views[::EVERY])}
     paths = [frame.file("file_path") for frame in file.frames]
     found: dict[Role, tuple[View, ...]] = {}
     for role in ROLES:
@@ -209,12 +211,6 @@ def about_unlisted(file: Transforms, found: Mapping[Role, Sequence[ForeignView]]
     """A line if the lists of a file leave out some of its views."""
     count = len(file.frames) - len({view for role in ROLES for view in found[role]})
     return [f"splits: {count} of {len(file.frames)} pictures are in none of the file's lists; left out"] * bool(count)
-
-
-def split_evenly(views: Sequence[View]) -> dict[Role, tuple[View, ...]]:
-    """Assigns every eighth view, starting with the first, to tests."""
-    train = tuple(view for place, view in enumerate(views) if place % EVERY)
-    return {"train": train, "val": (), "test": tuple(views[::EVERY])}
 
 
 def _left_out(train: Transforms, layout: Layout, views: dict[Role, tuple[ForeignView, ...]]) -> tuple[str, ...]:
