@@ -73,7 +73,10 @@ def find_exposures(
     count, radii = len(maps.depth), _radii(cameras.width, cameras.height)
     logs = np.full((len(pictures), len(points), 3), np.nan)
     squares = np.zeros(logs.shape[:2])
-    seen = _visible(points, maps)
+    seen = []  # Which points each depth map shows.
+    for view, shown in enumerate(maps.depth):
+        row, column, depth, is_in = _pixels(points, maps.cameras[view])
+        seen.append(is_in & (np.abs(shown[row, column] - depth) < HIDDEN * depth))
     places = cameras.world_from_camera[:, :3, 3]
     for view, picture in enumerate(pictures):
         # A picture without a depth map shows what the nearest one with a map does.
@@ -122,12 +125,3 @@ def _pixels(
     column, row = np.floor(np.clip(pixels, -1, 1e6)).astype(int).T
     is_in = (depth > 0) & (row >= 0) & (row < camera.height) & (column >= 0) & (column < camera.width)
     return np.where(is_in, row, 0), np.where(is_in, column, 0), depth, is_in
-
-
-def _visible(points: Float[np.ndarray, "point 3"], maps: DepthMaps) -> Bool[np.ndarray, "view point"]:
-    """Which points each depth map shows."""
-    found = []
-    for view, shown in enumerate(maps.depth):
-        row, column, depth, is_in = _pixels(points, maps.cameras[view])
-        found.append(is_in & (np.abs(shown[row, column] - depth) < HIDDEN * depth))
-    return np.stack(found)

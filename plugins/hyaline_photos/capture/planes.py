@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from datagen.data.meshes import Mesh
+from datagen.data.meshes import Mesh, mesh_from
 from datagen.scene.modelling import moved, rotation, rounded_box, sheet, transformed
 
 Points = Float[np.ndarray, "_ 3"]
@@ -79,6 +79,26 @@ def box_on(base: Rectangle, low: float, high: float) -> Mesh:
     box = rounded_box(size, bevel=0.02 * min(size), segments=1)
     turned = transformed(box, rotation((0, 0, 1), float(np.degrees(base.angle))), (0, 0, 0))
     return moved(turned, (*base.center, (low + high) / 2))
+
+
+def down_to(level: float, thing: Mesh, reach: float, within: Rectangle | None = None) -> Mesh:
+    """A surface with upright walls from its open edges near a level one down to that, where it was cut off."""
+    edges = thing.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    _, first, count = np.unique(np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True)
+    edges = edges[first[count == 1]]
+    is_near = np.abs(thing.vertices[:, 2] - level - reach / 2) < reach / 2
+    is_near &= True if within is None else within.holds(thing.vertices[:, :2])
+    edges = edges[is_near[edges].all(axis=1)]
+    rim, (start, end) = np.unique(edges), edges.T
+    below, flat = thing.vertices[rim].copy(), thing.normals[rim] * (1, 1, 0)
+    below[:, 2] = level
+    start_below, end_below = (len(thing.vertices) + np.searchsorted(rim, place) for place in (start, end))
+    faces = np.array([[end, start, start_below], [end, start_below, end_below]]).transpose(0, 2, 1).reshape(-1, 3)
+    return mesh_from(
+        np.concatenate([thing.vertices, below]),
+        np.concatenate([thing.faces, faces]),
+        np.concatenate([thing.normals, flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-6)]),
+    )
 
 
 # Which way is up

@@ -29,6 +29,7 @@ from hyaline_photos.capture.planes import (
     Rectangle,
     Wall,
     box_on,
+    down_to,
     find_walls,
     floor_within,
     smallest_rectangle,
@@ -297,6 +298,9 @@ def fit_room(
         things = fuse(maps, low, high, near / 2, is_thing)[:MAX_THINGS]
         for pane in panes:
             things = [pane.without(thing) for thing in things]
+        if top is not None:
+            things = [down_to(support, thing, 3 * near, top) for thing in things]
+        things = [down_to(floor, thing, 3 * near) for thing in things]
     parts |= {f"{THING}{place}": mesh for place, mesh in enumerate(things)}
     kinds = f"a floor, {'a table, ' * (top is not None)}{len(walls)} walls and {len(parts) - 1} parts in all"
     remark = f"room: {kinds} were fitted to {len(points):,} points"

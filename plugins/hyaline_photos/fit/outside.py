@@ -144,6 +144,7 @@ def overruled_about(rays: NearRays, up: Float64[np.ndarray, "3"]) -> Int[np.ndar
     shift = optimize.minimize(lack, simplex[0], method="Nelder-Mead", options=options).x
     rho = crossings(edge, upright.moved(np.zeros(2), shift * radius), heights)
     bounds, views = _least_by_view(rho[~edge.hits], edge.view[~edge.hits])
+    bounds = _down_to_foot(bounds, order=order)
     bounds[:, ~np.isfinite(_bounds(bounds, heights, order=order))] = 0
     # A pixel's width, by which a mask's edge may be wrong.
     far = float(np.median(np.linalg.norm(edge.origins - center, axis=1)))
@@ -164,7 +165,8 @@ def hull_about(rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height
         nearest = np.concatenate([nearest, crossings(part, axis, heights)[~part.hits]])
         nearest, views = _least_by_view(nearest, np.concatenate([views, part.view[~part.hits]]))
     bounds = _bounds(nearest, heights, order=order)
-    radii = np.where(np.isfinite(bounds), bounds, 0)
+    radii = _bounds(_down_to_foot(nearest, order=order), heights, order=order)
+    radii = np.where(np.isfinite(radii), radii, 0)
     spans = [_span_inside(part, axis, heights, radii) for part in parts]
     explained, lowest, highest = (np.concatenate(each) for each in zip(*spans, strict=True))
     kept, unexplained = np.zeros_like(radii), 1.0
@@ -253,6 +255,16 @@ def _bounds(
     return np.where(least**2 + heights**2 <= reach**2, least, np.inf)
 
 
+def _down_to_foot(rho: Float[np.ndarray, "view height"], *, order: int) -> Float[np.ndarray, "view height"]:
+    """Where masks may be wrong, hardly any ray gets down beside a foot, since known surfaces are `doubted`: below the
+    lowest height that half of the views bound, each bounds the object as there.
+    """
+    if order == 0:
+        return rho
+    lowest = int((np.isfinite(rho).mean(axis=0) >= 0.5).argmax())
+    return np.concatenate([np.repeat(rho[:, [lowest]], lowest, axis=1), rho[:, lowest:]], axis=1)
+
+
 def _least_by_view(
     rho: Float[np.ndarray, "miss height"], view: Int[np.ndarray, " miss"]
 ) -> tuple[Float[np.ndarray, "view height"], Int[np.ndarray, " view"]]:
@@ -281,7 +293,8 @@ def _closest(
 def _lack(rays: NearRays, axis: Axis, heights: np.ndarray, *, order: int) -> float:
     """Mean distance in metres by which rays that meet the object miss its hull."""
     rho = crossings(rays, axis, heights)
-    radii = _bounds(_least_by_view(rho[~rays.hits], rays.view[~rays.hits])[0], heights, order=order)
+    nearest = _down_to_foot(_least_by_view(rho[~rays.hits], rays.view[~rays.hits])[0], order=order)
+    radii = _bounds(nearest, heights, order=order)
     radii = np.where(np.isfinite(radii), radii, 0)
     place, least = _closest(rays, axis, heights)
     gaps = np.minimum((rho[rays.hits] - radii).min(axis=1), least - radii[place]).clip(0)

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int
 from scipy import ndimage, sparse
 
-from hyaline_photos.fit.outside import Hull, along_and_across
+from hyaline_photos.fit.outside import PIXELS_OFF, Hull, along_and_across
 from hyaline_photos.fit.shapes import Axis, perpendicular
 from hyaline_photos.fit.views import NearRays, closest, misfits, pull
 
@@ -100,6 +100,8 @@ def between_rays(hull: Hull, rays: NearRays) -> Hull:
         profile = _descended(edge, profile, is_free, softness)
     # Beyond heights at which the glass closes over its axis, there is none.
     changed, found = np.zeros_like(hull.radii), np.sqrt(profile.squares)
+    if not hull.is_exact:  # Beside a foot, few rays say how wide it is at most.
+        found = np.clip(found, radii - (off := PIXELS_OFF * rays.pixel_angle * float(np.median(t))), radii + off)
     part, _ = ndimage.label(found >= THREAD * found.max())  # pyright: ignore[reportGeneralTypeIssues]
     changed[inside] = np.where(part == part[found.argmax()], found, 0)
     return dataclasses.replace(hull, axis=profile.axis, radii=changed)

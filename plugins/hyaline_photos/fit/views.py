@@ -136,10 +136,11 @@ def doubted(
 ) -> Float32[np.ndarray, "view h w"]:
     """Depths of known surfaces whose outlines may be wrong.
 
-    A ray that misses all unknown objects says nothing behind the nearest surface within `DOUBT` pixels.
+    A ray that misses all unknown objects says nothing behind the nearest surface within `DOUBT` pixels. One that sees
+    an unknown object is not stopped by a surface, which may stand out too far.
     """
     nearest = ndimage.minimum_filter(depth, size=(1, 2 * DOUBT + 1, 2 * DOUBT + 1))
-    return np.where(first > 0, depth, nearest)
+    return np.where(first > 0, np.float32(np.inf), nearest)
 
 
 def height_below(

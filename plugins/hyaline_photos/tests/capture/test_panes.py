@@ -4,13 +4,14 @@ import math
 
 import numpy as np
 import pytest
+import trimesh
 from jaxtyping import Bool, Float, UInt8
 
 from datagen.data.cameras import Cameras, Lens, look_at
-from datagen.data.meshes import Mesh
+from datagen.data.meshes import Mesh, mesh_from
 from datagen.scene.modelling import sheet
 from datagen.scene.rig import towards
-from hyaline_photos.capture.planes import Rectangle
+from hyaline_photos.capture.planes import Rectangle, down_to
 from hyaline_photos.capture.room import Outline, Pane, find_outline, find_panes, fit_room
 
 SIDE, VIEWS = 96, 10
@@ -123,3 +124,15 @@ def test_a_floor_goes_on_to_walls_and_far_where_there_are_none() -> None:
     assert np.ptp(floors(np.concatenate([floor, wall]))[0], axis=0)[1] < 2.5, "what points show is a part of its own"
     deeper = np.column_stack([rng.uniform(-3, 3, (200, 2)), rng.uniform(-2, -0.5, 200)])
     assert len(floors(np.concatenate([floor, wall, deeper]))) == 1, "something is below"
+
+
+def test_what_was_cut_off_above_a_table_stands_on_it() -> None:
+    ball = trimesh.creation.icosphere(radius=0.2)
+    ball.apply_translation((1.0, 2.0, 0.15))
+    ball.update_faces(ball.triangles_center[:, 2] > 0.05)
+    found = down_to(0.0, mesh_from(ball.vertices, ball.faces, ball.vertex_normals), 0.1)
+    surface = trimesh.Trimesh(found.vertices, found.faces)
+    assert surface.is_winding_consistent and surface.bounds[0, 2] == 0.0
+    open_edges = surface.edges[trimesh.grouping.group_rows(surface.edges_sorted, require_count=1)]
+    assert len(open_edges) and (surface.vertices[open_edges][..., 2] == 0).all()
+    assert len(down_to(-1.0, found, 0.1).faces) == len(found.faces)
