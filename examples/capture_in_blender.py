@@ -1,7 +1,8 @@
-"""Renders a folder for `datagen capture` with Blender's Cycles alone: a tumbler and a ball of glass on a table.
+"""Renders a folder for `datagen capture` with Blender's Cycles alone: a tumbler and a ball of glass on a table, or a
+curved vessel with water and a solid frustum behind two books.
 
-    python3.11 -m venv blender && blender/bin/pip install bpy
-    blender/bin/python examples/capture_in_blender.py FOLDER [VIEWS] [PIXELS] [SAMPLES]
+    python3.11 -m venv blender && blender/bin/pip install bpy==4.4.0 "numpy<2"
+    blender/bin/python examples/capture_in_blender.py [--books] FOLDER [VIEWS] [PIXELS] [SAMPLES]
 
 writes images/, masks/OBJECT/, transforms.json with the true cameras, and truth/ with all meshes and transforms.json.
 Remove transforms.json, and `datagen capture` has to find the cameras, too. Of hyaline only
@@ -29,14 +30,15 @@ except ModuleNotFoundError as error:
         sys.exit(f"error: {error}; run this script in an environment with `pip install bpy`")
 
 TABLE = 0.75
-GLASS = {"tumbler": 1.5, "ball": 1.52}
-"""Index of refraction of each glass object."""
+INDEX = {"tumbler": 1.5, "ball": 1.52, "vessel": 1.5, "frustum": 1.52}
+WATER = 1.333
+"""Indices of refraction."""
 
 
-def main(root: Path, views: int = 64, pixels: int = 256, samples: int = 96) -> None:
+def main(root: Path, views: int = 64, pixels: int = 256, samples: int = 96, *, has_books: bool = False) -> None:
     bpy.ops.wm.read_factory_settings(use_empty=True)
     make_room()
-    make_glass()
+    glass = make_glass_behind_books() if has_books else make_glass()
     camera = make_camera(pixels)
     frames = []
     for view in range(views):
@@ -44,7 +46,7 @@ def main(root: Path, views: int = 64, pixels: int = 256, samples: int = 96) -> N
         name = f"{view:04d}.png"
         draw(root / "images" / name, samples=samples)
         frames.append({"file_path": f"images/{name}", "transform_matrix": [list(row) for row in camera.matrix_world]})
-    write_masks(root, camera, frames)
+    write_masks(root, camera, frames, glass)
     focal = 0.5 * pixels / math.tan(0.5 * camera.data.angle)
     lens = {"fl_x": focal, "fl_y": focal, "cx": pixels / 2, "cy": pixels / 2, "w": pixels, "h": pixels}
     (root / "truth").mkdir(exist_ok=True)
@@ -54,7 +56,8 @@ def main(root: Path, views: int = 64, pixels: int = 256, samples: int = 96) -> N
         bpy.ops.object.select_all(action="DESELECT")
         item.select_set(True)
         path = str(root / "truth" / f"{item.name}.ply")
-        bpy.ops.wm.ply_export(filepath=path, forward_axis="Y", up_axis="Z", export_selected_objects=True)
+        axes = {"forward_axis": "Y", "up_axis": "Z"}
+        bpy.ops.wm.ply_export(filepath=path, **axes, export_selected_objects=True, export_triangulated_mesh=True)
 
 
 # The scene
@@ -80,14 +83,40 @@ def make_room() -> None:
     bpy.context.scene.collection.objects.link(item)
 
 
-def make_glass() -> None:
+def make_glass() -> dict[str, str]:
+    """Makes the glass, and returns the object whose mask shows each mesh."""
     outside = [(0, 0), (0.040, 0), (0.044, 0.004), (0.052, 0.150)]
     inside = [(0.048, 0.150), (0.041, 0.016), (0.037, 0.013), (0, 0.013)]
-    lathe("tumbler", [*outside, *inside], (0.02, -0.12, TABLE + 0.0005))
+    lathe("tumbler", [*outside, *inside], (0.02, -0.12, TABLE + 0.0005), INDEX["tumbler"])
     angles = np.linspace(-math.pi / 2, math.pi / 2, 49)
     ball = [(0.05 * math.cos(angle), 0.05 + 0.05 * math.sin(angle)) for angle in angles]
     ball[0], ball[-1] = (0, 0), (0, 0.1)
-    lathe("ball", ball, (-0.14, -0.10, TABLE + 0.0005), is_smooth=True)
+    lathe("ball", ball, (-0.14, -0.10, TABLE + 0.0005), INDEX["ball"], is_smooth=True)
+    return {"tumbler": "tumbler", "ball": "ball"}
+
+
+def make_glass_behind_books() -> dict[str, str]:
+    """A vessel that is half full, and a frustum; returns the object whose mask shows each mesh.
+
+    Each surface of the vessel lies between two media, whose indices it divides: there are no gaps and no overlaps.
+    """
+    slab("wide_book", (0.17, 0.03, 0.08), (-0.05, -0.17, TABLE + 0.04), seed=8, turn=8)
+    slab("tall_book", (0.03, 0.10, 0.12), (0.17, -0.12, TABLE + 0.06), seed=9, turn=-25)
+    wall, base, level, height = 0.003, 0.010, 0.072, 0.125
+
+    def radius(z: float) -> float:
+        return 0.036 + 0.010 * math.sin(math.pi * (z / height) ** 0.8)
+
+    outside = [(radius(z), z) for z in np.linspace(0, height, 40)]
+    inside = [(radius(z) - wall, z) for z in np.linspace(height, level, 18)]
+    wet = [(radius(z) - wall, z) for z in np.linspace(base, level, 21)]
+    place, index = (-0.07, -0.03, TABLE + 0.0005), INDEX["vessel"]
+    lathe("vessel", [(0, 0), *outside, *inside], place, index, is_smooth=True)
+    lathe("vessel_to_water", [(0, base), *wet], place, WATER / index, is_smooth=True)
+    lathe("water", [wet[-1], (0, level)], place, WATER)
+    frustum = [(0, 0), (0.036, 0), (0.021, 0.085), (0, 0.085)]
+    lathe("frustum", frustum, (0.09, -0.01, TABLE + 0.0005), INDEX["frustum"], is_smooth=True)
+    return {"vessel": "vessel", "vessel_to_water": "vessel", "water": "vessel", "frustum": "frustum"}
 
 
 def slab(name: str, size: tuple, center: tuple, *, seed: int, turn: float = 0.0) -> None:
@@ -125,8 +154,15 @@ def picture(name: str, seed: int, side: int = 512) -> "bpy.types.Image":
     return image
 
 
-def lathe(name: str, profile: list, place: tuple, *, is_smooth: bool = False, segments: int = 128) -> None:
-    """A solid of revolution of glass, from its profile (radius, height) that starts and ends on the axis."""
+def lathe(
+    name: str, profile: list, place: tuple, index: float, *, is_smooth: bool = False, segments: int = 128
+) -> None:
+    """A surface of revolution between two media, from its profile (radius, height); front sides are on its right.
+
+    Args:
+        index: of the medium behind it, relative to that in front.
+        is_smooth: with smooth normals, but for edges of more than 30 degrees.
+    """
     vertices, rings = [], []
     for radius, height in profile:
         around = 1 if radius == 0 else segments
@@ -144,7 +180,8 @@ def lathe(name: str, profile: list, place: tuple, *, is_smooth: bool = False, se
     mesh.from_pydata(vertices, [], faces)
     if is_smooth:
         mesh.shade_smooth()
-    mesh.materials.append(make_material(bpy, "ShaderNodeBsdfGlass", {"IOR": GLASS[name], "Roughness": 0}))
+        mesh.set_sharp_from_angle(angle=math.radians(30))
+    mesh.materials.append(make_material(bpy, "ShaderNodeBsdfGlass", {"IOR": index, "Roughness": 0}))
     bpy.context.scene.collection.objects.link(bpy.data.objects.new(name, mesh))
 
 
@@ -184,14 +221,14 @@ def draw(path: Path, *, samples: int) -> None:
     bpy.ops.render.render(write_still=True)
 
 
-def write_masks(root: Path, camera: "bpy.types.Object", frames: list) -> None:
-    """A picture for each object and view: white where the object is seen, through nothing else."""
+def write_masks(root: Path, camera: "bpy.types.Object", frames: list, glass: dict[str, str]) -> None:
+    """A picture for each object and view: white where one of its meshes is seen, through nothing else."""
     bpy.context.scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0
     bpy.data.objects["lamp"].hide_render = True
-    for name in GLASS:
+    for name in dict.fromkeys(glass.values()):
         for item in [item for item in bpy.data.objects if item.type == "MESH"]:
             item.data.materials.clear()
-            shines = {"Strength": float(item.name == name)}
+            shines = {"Strength": float(glass.get(item.name) == name)}
             item.data.materials.append(make_material(bpy, "ShaderNodeEmission", shines))
         for frame in frames:
             camera.matrix_world = Matrix(frame["transform_matrix"])
@@ -210,5 +247,6 @@ if __name__ == "__main__":
     parser.add_argument("folder", type=Path, help="folder to write")
     for name, usual in (("views", 64), ("pixels", 256), ("samples", 96)):
         parser.add_argument(name, type=int, nargs="?", default=usual, help="default: %(default)s")
+    parser.add_argument("--books", action="store_true", help="the vessel and the frustum behind books")
     given = parser.parse_args()
-    main(given.folder, given.views, given.pixels, given.samples)
+    main(given.folder, given.views, given.pixels, given.samples, has_books=given.books)
