@@ -64,8 +64,8 @@ def put(path: str, value: object) -> Change:
 
 
 def many_places(content: dict) -> None:
-    content["nodes"] += [{"mesh": 0}] * 50_000
-    content["scenes"][0]["nodes"] = list(range(2, 50_002))
+    content["nodes"] += [{"mesh": 0}] * 25_000
+    content["scenes"][0]["nodes"] = list(range(2, 25_002))
 
 
 PRIMITIVE, MATERIAL = "meshes.0.primitives.0", "materials.0"
