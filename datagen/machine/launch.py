@@ -51,9 +51,9 @@ def run_in_jobs(
     try:
         for name, job in zip(jobs, sent, strict=True):
             try:
-                failed = job.result() != 0
-                errors = [line[7:] for line in (job.stderr() or "").splitlines() if line.startswith("error: ")]
-                reason = (errors or ["no error was printed"])[-1] if failed else ""
+                log = (job.stderr() or "") if job.result() else None
+                errors = [line[7:] for line in (log or "").splitlines() if line.startswith("error: ")]
+                reason = "" if log is None else (errors or ["no error was printed"])[-1]
             except Exception:  # submitit raises plain exceptions, too.
                 reason = f"ended without a result ({job.state})"
             if reason:
