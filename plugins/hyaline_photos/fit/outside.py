@@ -165,8 +165,7 @@ def hull_about(rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height
         nearest = np.concatenate([nearest, crossings(part, axis, heights)[~part.hits]])
         nearest, views = _least_by_view(nearest, np.concatenate([views, part.view[~part.hits]]))
     bounds = _bounds(nearest, heights, order=order)
-    radii = _bounds(_down_to_foot(nearest, order=order), heights, order=order)
-    radii = np.where(np.isfinite(radii), radii, 0)
+    radii = np.nan_to_num(_bounds(_down_to_foot(nearest, order=order), heights, order=order), posinf=0)
     spans = [_span_inside(part, axis, heights, radii) for part in parts]
     explained, lowest, highest = (np.concatenate(each) for each in zip(*spans, strict=True))
     kept, unexplained = np.zeros_like(radii), 1.0
@@ -294,8 +293,7 @@ def _lack(rays: NearRays, axis: Axis, heights: np.ndarray, *, order: int) -> flo
     """Mean distance in metres by which rays that meet the object miss its hull."""
     rho = crossings(rays, axis, heights)
     nearest = _down_to_foot(_least_by_view(rho[~rays.hits], rays.view[~rays.hits])[0], order=order)
-    radii = _bounds(nearest, heights, order=order)
-    radii = np.where(np.isfinite(radii), radii, 0)
+    radii = np.nan_to_num(_bounds(nearest, heights, order=order), posinf=0)
     place, least = _closest(rays, axis, heights)
     gaps = np.minimum((rho[rays.hits] - radii).min(axis=1), least - radii[place]).clip(0)
     return float(np.minimum(gaps, FAR * heights[-1]).mean())

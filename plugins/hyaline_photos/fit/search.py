@@ -45,8 +45,7 @@ FLOORS = (0.05, 0.1, 0.15, 0.25, 0.4, 0.5, 0.6)
 CORNERS = (0.15, 0.5)
 """The grid: parts of the largest radius, of the height, and of the floor's radius."""
 WORTH_A_DRINK = 0.2
-"""Share of the loss that a drink which masks do not show has to take away. It took 44 % from a full shot glass on a
-third of its photographs, and 10 % from a solid frustum, of which nothing explained the pictures well."""
+"""Share of the loss that a drink which masks do not show has to take away."""
 LEAST_GLASS = 1.42
 """Index below that of all solid glass: fluorite has 1.43."""
 FILLED_WALLS, FILLED_CORNER, LEVELS = (0.05, 0.12), 0.3, (0.3, 0.6, 0.8, 0.95)
@@ -248,9 +247,12 @@ def guess(
         return sorted(cells, key=lambda cell: cell[1])
 
     found = drawn(None)
-    dry = [cell for cell in found if "level" not in cell[0].numbers]
-    if dry and found[0][1] > (1 - WORTH_A_DRINK) * dry[0][1]:
-        found, asked = dry, [glass for glass in asked if "level" not in glass.numbers]
+    dry, filled = ([cell for cell in found if ("level" in cell[0].numbers) == holds] for holds in (False, True))
+    if dry and filled:
+        # Both are searched first: levels of the grid are far apart, and little else in a picture is as sharp.
+        empty, full = ([*refine(cells[0][0], misses, is_even, number=0)][-1][0] for cells in (dry, filled))
+        if misses(full).mean() > (1 - WORTH_A_DRINK) * misses(empty).mean():
+            found, asked = dry, [glass for glass in asked if "level" not in glass.numbers]
     cells = [glass for glass, _ in found]
     glass = find_material(cells[0], misses, is_even)
     if len(cells) == 1 or not (any(glass.absorption) or "roughness" in glass.numbers):
