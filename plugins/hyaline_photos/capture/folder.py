@@ -262,6 +262,8 @@ LARGE = 1600
 MOST_FEATURES = 1200
 LEAST_SHARE = 0.5
 """Share of the pictures whose cameras must be found."""
+TRIES = 4
+"""Searches for cameras from other first pairs: of six on one scene, one found a wrong lens and another few points."""
 LEAST_SEEN = 20
 """Points that a picture must show: cameras by fewer are often wrong."""
 MODEL = "SIMPLE_RADIAL"
@@ -286,9 +288,13 @@ def find_cameras(root: Path, masks: Masks, tests: set[Path]) -> None:
         options.min_model_size = 3
         # Small pictures have few features.
         options.mapper.init_min_num_inliers, options.mapper.abs_pose_min_num_inliers = 50, 15
+        models = []
         with waiting("cameras of training pictures"):
-            models = colmap.incremental_mapping(database, folder / "images", folder, options)
-        found = max(models.values(), key=lambda model: model.num_reg_images(), default=None)
+            for seed in range(TRIES):
+                options.random_seed = options.mapper.random_seed = seed
+                (folder / str(seed)).mkdir()
+                models += colmap.incremental_mapping(database, folder / "images", folder / str(seed), options).values()
+        found = max(models, key=lambda model: model.compute_num_observations(), default=None)
         if found:
             for image in list(found.images.values()):
                 if image.num_points3D < LEAST_SEEN:

@@ -7,7 +7,7 @@ Upright ellipsoids replace the true meshes of glass until `model fit` finds them
 they hardly displace the view through them: depth maps look through them. Thick or round glass shifts, and is left out.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -196,16 +196,13 @@ def find_panes(
         outlines: of all objects.
         ids: 1 + the place among the outlines of the object that each pixel sees, 0 elsewhere; one picture a camera.
     """
-    first = np.stack(ids)
-    sightings = Sightings(
-        cameras=cameras,
-        first=first,
-        touched=first > 0,
-        depth=np.full(first.shape, np.inf, np.float32),
-        unknown=tuple(range(1, len(outlines) + 1)),
-    )
-    panes = []
+    first, panes = np.stack(ids), []
+    depth = np.full(first.shape, np.inf, np.float32)
     for object_id, outline in enumerate(outlines, start=1):
+        if outline.radii[2] > min(outline.radii[:2]):
+            continue
+        seen = _as_convex(first, object_id)
+        sightings = Sightings(cameras=cameras, first=seen, touched=seen > 0, depth=depth, unknown=(*range(1, 256),))
         box = fit_box(rays_near(sightings, object_id), np.array([0.0, 0.0, 1.0]))
         if box is None:
             continue
@@ -217,10 +214,20 @@ def find_panes(
     return tuple(panes)
 
 
+def _as_convex(first: UInt8[np.ndarray, "view h w"], object_id: int) -> UInt8[np.ndarray, "view h w"]:
+    """What is seen first, where something else, 255, fills the dents of an object's silhouettes, since it hides it."""
+    from skimage.morphology import convex_hull_image
+
+    first, shown = first.copy(), first == object_id
+    for view in np.flatnonzero(shown.any(axis=(1, 2))):
+        first[view][np.asarray(convex_hull_image(shown[view])) & ~shown[view]] = 255
+    return first
+
+
 # The room
 
 CELL = 0.05
-"""Side of the cells by whose contact points are one thing, over the cameras' distance."""
+"""Largest distance between neighbouring points of a table top, over the cameras' distance."""
 MAX_THINGS = 24
 THING = "thing_"
 """How the names of surfaces from depth maps begin."""
@@ -255,6 +262,8 @@ def fit_room(
         maps: depths of opaque surfaces; without them, there are no things.
         panes: the objects that are panes.
     """
+    from trimesh.grouping import clusters
+
     middle = np.mean([outline.center for outline in glass], axis=0)
     radius = float(np.median(np.linalg.norm(places - middle, axis=1)))
     # Glass may stand on panes; without other glass, the panes themselves stand on something.
@@ -275,8 +284,9 @@ def fit_room(
     top: Rectangle | None = None
     support, is_pane = _support(levels, points, standing, panes, near)
     if support > floor + 4 * near and not is_pane:
-        on = np.abs(rest[:, 2] - support) < near
-        top = smallest_rectangle(next(_things(rest[on], CELL * radius, least=1))[:, :2], 1.0)
+        on = rest[np.abs(rest[:, 2] - support) < near]
+        most = max(clusters(on, CELL * radius), key=len, default=slice(None))
+        top = smallest_rectangle(on[most, :2], 1.0)
         parts["table"] = box_on(top, support - SLAB * 2 * min(top.half), support)
         rest = rest[~(top.holds(rest[:, :2], margin=near) & (rest[:, 2] < support + 2 * near))]
     walls, rest = find_walls(rest, places, middle, radius, few)
@@ -369,20 +379,3 @@ def _levels(points: Points, near: float, few: float, *, below: float) -> list[fl
         found.append(level)
         heights = heights[np.abs(heights - level) > 4 * near]
     return sorted(found)
-
-
-def _things(points: Points, cell: float, least: int = LEAST_POINTS) -> Iterator[Points]:
-    """Points that are one thing: in cells that touch; things of few points are left out."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import KDTree
-
-    if not len(points):
-        return
-    pairs = KDTree(points).query_pairs(cell, output_type="ndarray")
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
-    count, label = connected_components(graph, directed=False)
-    sizes = np.bincount(label, minlength=count)
-    for index in np.argsort(-sizes, kind="stable"):
-        if sizes[index] >= least:
-            yield points[label == index]

@@ -8,8 +8,8 @@ import trimesh
 from jaxtyping import Bool, Float, UInt8
 
 from datagen.data.cameras import Cameras, Lens, look_at
-from datagen.data.meshes import Mesh, mesh_from
-from datagen.scene.modelling import sheet
+from datagen.data.meshes import mesh_from
+from datagen.scene.modelling import moved, sheet
 from datagen.scene.rig import towards
 from hyaline_photos.capture.planes import Rectangle, down_to
 from hyaline_photos.capture.room import Outline, Pane, find_outline, find_panes, fit_room
@@ -19,6 +19,8 @@ ANGLE = math.radians(25)
 HALF, TOP, THICKNESS = (0.4, 0.25), 0.7, 0.016
 BALL, RADIUS = np.array((0.1, -0.05, 0.77)), 0.07
 """A ball on a pane."""
+CUPS = [np.array((x, y, 0.75)) for x in (-0.33, -0.2, -0.07, 0.07, 0.2, 0.33) for y in (-0.17, 0.0, 0.17)]
+"""Opaque balls of 5 cm on it, whose edges make up most of the edges of its masks."""
 
 
 def around() -> Cameras:
@@ -32,9 +34,9 @@ def rays(cameras: Cameras, view: int) -> tuple[Float[np.ndarray, "3"], Float[np.
     return origin, directions
 
 
-def sees_ball(origin: Float[np.ndarray, "3"], directions: Float[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
-    away = BALL - origin
-    return away @ away - (directions @ away) ** 2 < RADIUS**2
+def sees_ball(origin: np.ndarray, ahead: np.ndarray, ball: np.ndarray = BALL, radius: float = RADIUS) -> np.ndarray:
+    away = ball - origin
+    return away @ away - (ahead @ away) ** 2 < radius**2
 
 
 def sees_pane(origin: Float[np.ndarray, "3"], directions: Float[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
@@ -53,6 +55,7 @@ def ids() -> list[UInt8[np.ndarray, "h w"]]:
     for view in range(VIEWS):
         origin, directions = rays(cameras, view)
         picture = np.where(sees_pane(origin, directions), 2, 0).astype(np.uint8)
+        picture[np.any([sees_ball(origin, directions, cup, 0.05) for cup in CUPS], axis=0)] = 0
         picture[sees_ball(origin, directions)] = 1
         found.append(picture)
     return found
@@ -80,14 +83,10 @@ def test_nothing_opaque_is_left_in_a_pane() -> None:
     flat = sheet((0, 0, 0), (0.1, 0, 0), (0, 0.1, 0))
     heights = (0.5, 0.683, 0.695, 0.72)
 
-    def at(height: float, aside: float = 0.0) -> Mesh:
-        vertices = flat.vertices + np.array((aside, 0, height), np.float32)
-        return Mesh(vertices=vertices, faces=flat.faces, normals=flat.normals, uv=flat.uv)
-
-    found = [pane.without(at(height)).vertices[0, 2] for height in heights]
+    found = [pane.without(moved(flat, (0, 0, height))).vertices[0, 2] for height in heights]
     assert found[0] == pytest.approx(0.5) and found[3] == pytest.approx(0.72)
     assert 0.678 < found[1] < 0.68 and 0.7 < found[2] < 0.702
-    assert pane.without(at(0.69, aside=2.0)).vertices[0, 2] == pytest.approx(0.69)
+    assert pane.without(moved(flat, (2, 0, 0.69))).vertices[0, 2] == pytest.approx(0.69)
 
 
 def test_glass_stands_on_a_pane_and_no_table_takes_its_place() -> None:
