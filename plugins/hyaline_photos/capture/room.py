@@ -37,7 +37,7 @@ from hyaline_photos.capture.planes import (
 )
 from hyaline_photos.capture.stereo import DepthMaps, fuse
 from hyaline_photos.fit.boxes import fit_box
-from hyaline_photos.fit.views import Sightings, rays_near
+from hyaline_photos.fit.views import Sightings, as_convex, rays_near
 
 # Places of glass
 
@@ -197,13 +197,12 @@ def find_panes(
         ids: 1 + the place among the outlines of the object that each pixel sees, 0 elsewhere; one picture a camera.
     """
     first, panes = np.stack(ids), []
-    depth = np.full(first.shape, np.inf, np.float32)
+    depth, unknown = np.full(first.shape, np.inf, np.float32), tuple(range(1, len(outlines) + 1))
+    sightings = Sightings(cameras=cameras, first=first, touched=first > 0, depth=depth, unknown=unknown)
     for object_id, outline in enumerate(outlines, start=1):
         if outline.radii[2] > min(outline.radii[:2]):
             continue
-        seen = _as_convex(first, object_id)
-        sightings = Sightings(cameras=cameras, first=seen, touched=seen > 0, depth=depth, unknown=(*range(1, 256),))
-        box = fit_box(rays_near(sightings, object_id), np.array([0.0, 0.0, 1.0]))
+        box = fit_box(rays_near(as_convex(sightings, object_id), object_id), np.array([0.0, 0.0, 1.0]))
         if box is None:
             continue
         half, angle = box.half_sizes.tolist(), float(np.arctan2(box.axes[0, 1], box.axes[0, 0]))
@@ -212,16 +211,6 @@ def find_panes(
             top = float(box.center[2] + half[2])
             panes.append(Pane(name=outline.name, footprint=footprint, top=top, thickness=2 * half[2]))
     return tuple(panes)
-
-
-def _as_convex(first: UInt8[np.ndarray, "view h w"], object_id: int) -> UInt8[np.ndarray, "view h w"]:
-    """What is seen first, where something else, 255, fills the dents of an object's silhouettes, since it hides it."""
-    from skimage.morphology import convex_hull_image
-
-    first, shown = first.copy(), first == object_id
-    for view in np.flatnonzero(shown.any(axis=(1, 2))):
-        first[view][np.asarray(convex_hull_image(shown[view])) & ~shown[view]] = 255
-    return first
 
 
 # The room

@@ -23,7 +23,7 @@ SEGMENTS = 4
 """Steps of a rounded edge, per 45 degrees."""
 LEAST_SIZE, LEAST_ROUNDING = 0.0005, 0.0001
 """Least half thickness of a box and least radius of its edges, in metres."""
-MOST_ROUNDING = 0.9
+MOST_ROUNDING = 0.5
 """Largest radius of the edges, in parts of the least half size."""
 SOFTNESS = (3.0, 1.0, 0.3, 0.1, 0.03)
 """Pixels over which a ray turns from meeting the box to missing it, in one round of the search after the other."""

@@ -32,7 +32,7 @@ from hyaline_photos.fit.outside import (
 from hyaline_photos.fit.profiles import between_rays
 from hyaline_photos.fit.search import USUAL, WALLS
 from hyaline_photos.fit.shapes import WATER, Glass, Revolution
-from hyaline_photos.fit.views import NearRays, Sightings, rays_near, rays_of, unexplained, without_views
+from hyaline_photos.fit.views import NearRays, Sightings, as_convex, rays_near, rays_of, unexplained, without_views
 
 STANDS = 0.1
 """Largest gap between an object's lowest point, as masks show it, and its support, relative to its radius."""
@@ -118,7 +118,7 @@ def choose_outside(
     if is_poor():
         middle, radius = find_center(rays, up)
         below = _support(middle - radius * up, radius, radius, stands_on) if support is None else support
-        if (box := fit_box(rays, up, below)) is not None:
+        if (box := fit_box(rays_near(as_convex(sightings, object_id), object_id), up, below)) is not None:
             judge(OUTLINE, box)
     if is_poor():
         with contextlib.suppress(HyalineError), waiting("    visual hull"):  # Nothing is inside all masks.

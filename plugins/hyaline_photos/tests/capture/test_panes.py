@@ -81,9 +81,7 @@ def test_a_pane_is_found_and_a_ball_is_none(ids: list[UInt8[np.ndarray, "h w"]])
 def test_nothing_opaque_is_left_in_a_pane() -> None:
     pane = Pane(name="pane", footprint=Rectangle(center=(0, 0), half=(0.4, 0.25), angle=0), top=0.7, thickness=0.02)
     flat = sheet((0, 0, 0), (0.1, 0, 0), (0, 0.1, 0))
-    heights = (0.5, 0.683, 0.695, 0.72)
-
-    found = [pane.without(moved(flat, (0, 0, height))).vertices[0, 2] for height in heights]
+    found = [pane.without(moved(flat, (0, 0, height))).vertices[0, 2] for height in (0.5, 0.683, 0.695, 0.72)]
     assert found[0] == pytest.approx(0.5) and found[3] == pytest.approx(0.72)
     assert 0.678 < found[1] < 0.68 and 0.7 < found[2] < 0.702
     assert pane.without(moved(flat, (2, 0, 0.69))).vertices[0, 2] == pytest.approx(0.69)

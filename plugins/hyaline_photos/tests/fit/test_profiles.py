@@ -1,5 +1,7 @@
 """Tests that radii between the rays of both sides are those of the truth, where hulls bulge."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from support.silhouettes import sightings_of, traced
@@ -61,12 +63,14 @@ def test_wrong_masks_do_not_tear_the_radii_away() -> None:
     radius_off, slope_off = errors(between_rays(hull, rays), CONE)
     assert radius_off < 0.0005
     assert slope_off < 1
+    z = hull.heights
+    tall = dataclasses.replace(hull, radii=np.where((z > 0.098) & (z < 0.106), 0.045, hull.radii))
+    assert not between_rays(tall, rays).radii[z > 0.1].any()
 
 
 def test_a_foot_whose_upper_side_masks_do_not_show_stays_as_it_is() -> None:
-    rays, hull = seen(
-        np.array([(0, 0), (0.04, 0), (0.04, 0.003), (0.005, 0.006), (0.005, 0.05), (0.03, 0.07), (0.03, 0.1), (0, 0.1)])
-    )
+    line = [(0, 0), (0.04, 0), (0.04, 0.003), (0.005, 0.006), (0.005, 0.05), (0.03, 0.07), (0.03, 0.1), (0, 0.1)]
+    rays, hull = seen(np.array(line))
     fitted = between_rays(hull, rays)
     foot = (hull.heights > 0) & (hull.heights < 0.004)
     assert (fitted.radii[foot] == hull.radii[foot]).all()
