@@ -174,9 +174,9 @@ class Wall:
 
 
 def find_walls(
-    points: Points, places: Float[np.ndarray, "view 3"], middle: np.ndarray, radius: float, few: float
+    points: Points, ground: Flat, places: Float[np.ndarray, "view 3"], middle: np.ndarray, radius: float, few: float
 ) -> tuple[list[Wall], Points]:
-    """Walls with all cameras and the glass in front of them, the one with the most points first; other points."""
+    """Walls with cameras, glass and ground before them, the one with the most points first; other points."""
     rng, near, walls, rest = np.random.default_rng(1), FARTHER * NEAR * radius, [], points
     inner = np.concatenate([places[:, :2], middle[None, :2]])
     while len(walls) < MAX_WALLS and len(points) >= few:
@@ -187,7 +187,8 @@ def find_walls(
                 continue
             ahead = (flat - place) @ normal
             on = int((np.abs(ahead) < near).sum())
-            if on > most and (ahead < -near).mean() < MAX_BEHIND:
+            limit = place @ normal - near
+            if on > most and max((each @ normal < limit).mean() for each in (flat, ground)) < MAX_BEHIND:
                 best, most = (place, normal), on
         if best is None:
             break

@@ -200,10 +200,8 @@ def find_panes(
     depth, unknown = np.full(first.shape, np.inf, np.float32), tuple(range(1, len(outlines) + 1))
     sightings = Sightings(cameras=cameras, first=first, touched=first > 0, depth=depth, unknown=unknown)
     for object_id, outline in enumerate(outlines, start=1):
-        if outline.radii[2] > min(outline.radii[:2]):
-            continue
-        box = fit_box(rays_near(as_convex(sightings, object_id), object_id), np.array([0.0, 0.0, 1.0]))
-        if box is None:
+        rays = rays_near(as_convex(sightings, object_id), object_id)
+        if outline.radii[2] > min(outline.radii[:2]) or (box := fit_box(rays, np.array([0.0, 0.0, 1.0]))) is None:
             continue
         half, angle = box.half_sizes.tolist(), float(np.arctan2(box.axes[0, 1], box.axes[0, 0]))
         if half[2] < MAX_THICKNESS * min(half[:2]):
@@ -278,7 +276,8 @@ def fit_room(
         top = smallest_rectangle(on[most, :2], 1.0)
         parts["table"] = box_on(top, support - SLAB * 2 * min(top.half), support)
         rest = rest[~(top.holds(rest[:, :2], margin=near) & (rest[:, 2] < support + 2 * near))]
-    walls, rest = find_walls(rest, places, middle, radius, few)
+    ground = points[np.abs(points[:, 2] - floor) < 2 * near, :2]
+    walls, rest = find_walls(rest, ground, places, middle, radius, few)
     parts |= {f"wall_{place}": wall_mesh(wall, walls, floor) for place, wall in enumerate(walls)}
     parts = _floors(points, floor, walls, middle, radius) | parts
 

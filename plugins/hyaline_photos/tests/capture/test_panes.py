@@ -70,8 +70,7 @@ def test_a_pane_is_found_and_a_ball_is_none(ids: list[UInt8[np.ndarray, "h w"]])
     assert pane.top == pytest.approx(TOP, abs=pixel)
     assert pane.thickness == pytest.approx(THICKNESS, abs=pixel)
     assert np.abs(np.sort(pane.footprint.half) - np.sort(HALF)).max() < 1.2 * pixel
-    turn = [[0.906, 0.423], [-0.423, 0.906]]
-    corners = np.array([[1, 1], [1, -1]]) * HALF @ turn
+    corners = np.array([[1, 1], [1, -1]]) * HALF @ [[0.906, 0.423], [-0.423, 0.906]]
     assert pane.footprint.holds(0.95 * corners).all()
     outline = pane.outline()
     assert outline.center[2] + outline.radii[2] == pytest.approx(pane.top)
@@ -91,11 +90,9 @@ def test_glass_stands_on_a_pane_and_no_table_takes_its_place() -> None:
     rng = np.random.default_rng(0)
     floor = np.column_stack([rng.uniform(-1, 1, (900, 2)), np.zeros(900)])
     frame = np.column_stack([rng.uniform(-0.4, 0.4, (300, 2)), np.full(300, 0.69)])
-    cameras = around()
     pane = Pane(name="pane", footprint=Rectangle(center=(0, 0), half=HALF, angle=ANGLE), top=TOP, thickness=THICKNESS)
     glass = [Outline(name="ball", center=(0.1, -0.05, 0.76), radii=(0.07, 0.07, 0.08)), pane.outline()]
-    places = cameras.world_from_camera[:, :3, 3]
-    points = np.concatenate([floor, frame])
+    places, points = around().world_from_camera[:, :3, 3], np.concatenate([floor, frame])
     room = fit_room(points, glass, places, panes=[pane])
     assert room.support == pytest.approx(TOP)
     assert "table" not in room.parts
@@ -111,9 +108,8 @@ def test_a_floor_goes_on_to_walls_and_far_where_there_are_none() -> None:
     places = around().world_from_camera[:, :3, 3] * (1, 1, 0.7)
 
     def floors(points: Float[np.ndarray, "point 3"]) -> list[Float[np.ndarray, "_ 3"]]:
-        return [
-            mesh.vertices for name, mesh in fit_room(points, glass, places).parts.items() if name.startswith("floor")
-        ]
+        parts = fit_room(points, glass, places).parts
+        return [parts[name].vertices for name in parts if name.startswith("floor")]
 
     found = np.concatenate(floors(np.concatenate([floor, wall])))
     assert found[:, 0].min() == pytest.approx(-1.8, abs=0.05) and found[:, 0].max() > 4
@@ -121,6 +117,9 @@ def test_a_floor_goes_on_to_walls_and_far_where_there_are_none() -> None:
     assert np.ptp(floors(np.concatenate([floor, wall]))[0], axis=0)[1] < 2.5, "what points show is a part of its own"
     deeper = np.column_stack([rng.uniform(-3, 3, (200, 2)), rng.uniform(-2, -0.5, 200)])
     assert len(floors(np.concatenate([floor, wall, deeper]))) == 1, "something is below"
+    back, places = wall * (1 / 3, 0.5, 0.5), np.array([(1.2, y, 0.8) for y in (-0.5, 0.0, 0.5)])
+    assert "wall_0" in fit_room(np.concatenate([floor[floor[:, 0] > -0.6], back]), glass, places).parts
+    assert "wall_0" not in fit_room(np.concatenate([floor, back]), glass, places).parts, "the floor goes on behind it"
 
 
 def test_what_was_cut_off_above_a_table_stands_on_it() -> None:
