@@ -185,10 +185,8 @@ def find_walls(
             normal = normal * (np.sign((middle[:2] - place) @ normal) or 1.0)
             if ((inner - place) @ normal).min() < 2 * near:
                 continue
-            ahead = (flat - place) @ normal
-            on = int((np.abs(ahead) < near).sum())
-            limit = place @ normal - near
-            if on > most and max((each @ normal < limit).mean() for each in (flat, ground)) < MAX_BEHIND:
+            on = int((np.abs((flat - place) @ normal) < near).sum())
+            if on > most and max(((each - place) @ normal < -near).mean() for each in (flat, ground)) < MAX_BEHIND:
                 best, most = (place, normal), on
         if best is None:
             break
@@ -226,11 +224,11 @@ def wall_mesh(wall: Wall, walls: Sequence[Wall], floor: float) -> Mesh:
     return sheet((*start, floor), (*((ends[1] - ends[0]) * wall.along), 0), (0, 0, top - floor))
 
 
-def floor_within(points: Points, walls: Sequence[Wall], middle: np.ndarray) -> Rectangle:
+def floor_within(points: Flat, walls: Sequence[Wall], middle: np.ndarray) -> Rectangle:
     """The floor: along the first wall, as far as points show it and a little farther, and not beyond walls."""
     angle = float(np.arctan2(walls[0].along[1], walls[0].along[0])) if walls else None
     # The middle of the scene belongs to it, whatever points show.
-    base = smallest_rectangle(np.concatenate([points[:, :2], middle[None, :2]]), 0.5, angle)
+    base = smallest_rectangle(np.concatenate([points, middle[None, :2]]), 0.5, angle)
     place, half = np.array(base.center) @ base.axes.T, (1 + MARGIN) * np.array(base.half)
     ends = np.stack([place - half, place + half])
     for wall in walls:

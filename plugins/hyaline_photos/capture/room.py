@@ -25,6 +25,7 @@ from hyaline_photos.capture.planes import (
     LEAST_SHARE,
     MAX_BEHIND,
     NEAR,
+    Flat,
     Points,
     Rectangle,
     Wall,
@@ -200,8 +201,8 @@ def find_panes(
     depth, unknown = np.full(first.shape, np.inf, np.float32), tuple(range(1, len(outlines) + 1))
     sightings = Sightings(cameras=cameras, first=first, touched=first > 0, depth=depth, unknown=unknown)
     for object_id, outline in enumerate(outlines, start=1):
-        rays = rays_near(as_convex(sightings, object_id), object_id)
-        if outline.radii[2] > min(outline.radii[:2]) or (box := fit_box(rays, np.array([0.0, 0.0, 1.0]))) is None:
+        box = fit_box(rays_near(as_convex(sightings, object_id), object_id), np.array([0.0, 0.0, 1.0]))
+        if box is None:
             continue
         half, angle = box.half_sizes.tolist(), float(np.arctan2(box.axes[0, 1], box.axes[0, 0]))
         if half[2] < MAX_THICKNESS * min(half[:2]):
@@ -279,7 +280,7 @@ def fit_room(
     ground = points[np.abs(points[:, 2] - floor) < 2 * near, :2]
     walls, rest = find_walls(rest, ground, places, middle, radius, few)
     parts |= {f"wall_{place}": wall_mesh(wall, walls, floor) for place, wall in enumerate(walls)}
-    parts = _floors(points, floor, walls, middle, radius) | parts
+    parts = _floors(points, ground, floor, walls, middle, radius) | parts
 
     def is_thing(place: Points) -> Bool[np.ndarray, "_"]:
         """True where a surface is neither the floor, the table nor a wall."""
@@ -340,14 +341,13 @@ def _support(
     return max(close, key=lambda level: (np.abs(points[:, 2] - level) < near).sum(), default=levels[0]), False
 
 
-def _floors(points: Points, floor: float, walls: Sequence[Wall], middle: np.ndarray, radius: float) -> dict[str, Mesh]:
+def _floors(
+    points: Points, ground: Flat, floor: float, walls: Sequence[Wall], middle: np.ndarray, radius: float
+) -> dict[str, Mesh]:
     """The floor as far as points show it, and what lies around it and before the walls unless something is below."""
-    near = NEAR * radius
-    ground = floor_within(points[np.abs(points[:, 2] - floor) < 2 * near], walls, middle)
-    parts = {"floor": ground.sheet(floor)}
-    if (points[:, 2] < floor - 4 * near).mean() < MAX_BEHIND:
-        signs = np.array([(-1, -1, 0), (-1, 1, 0), (1, -1, 0), (1, 1, 0)])
-        corners = middle + FAR * radius * signs
+    parts = {"floor": floor_within(ground, walls, middle).sheet(floor)}
+    if (points[:, 2] < floor - 4 * NEAR * radius).mean() < MAX_BEHIND:
+        corners = middle[:2] + FAR * radius * np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)])
         # A part of its own, a little lower, so that its large area takes no texels from the floor.
         parts["floor_around"] = floor_within(corners, walls, middle).sheet(floor - GAP)
     return parts

@@ -102,7 +102,8 @@ def between_rays(hull: Hull, rays: NearRays) -> Hull:
     changed, found = np.zeros_like(hull.radii), np.sqrt(profile.squares)
     part, _ = ndimage.label(found >= THREAD * found.max())  # pyright: ignore[reportGeneralTypeIssues]
     if not hull.is_exact:  # Beside a foot, few rays say how wide it is at most.
-        found = np.clip(found, radii - (off := PIXELS_OFF * rays.pixel_angle * float(np.median(t))), radii + off)
+        off = PIXELS_OFF * rays.pixel_angle * float(np.median(t))
+        found = np.clip(found, radii - off, radii + off)
     changed[inside] = np.where(part == part[profile.squares.argmax()], found, 0)
     return dataclasses.replace(hull, axis=profile.axis, radii=changed)
 
